@@ -117,8 +117,8 @@ def _in_rad(given: States, slope: float | None, degrees: bool) -> dict[str, Any]
     unit = np.pi / 180 if degrees else 1.0
     values = {name: unit * column for name, column in given.values.items()}
     digits = {name: unit * column for name, column in given.digits.items()}
+    sizes = {name: unit * column for name, column in given.sizes.items()}
     column = values.pop("slope", None)
-    digits.pop("slope", None)
     if (column is None) == (slope is None):
         raise StudyError(
             "`slope` is needed once: as an argument, or as a column of the table; got "
@@ -132,7 +132,7 @@ def _in_rad(given: States, slope: float | None, degrees: bool) -> dict[str, Any]
     if len(wrong):
         slopes.check(float(column[wrong[0]]))
         raise Location("", "slope").wrong("must be finite", float(column[wrong[0]]))
-    return {"slope": column, "table": values, "digits": digits}
+    return {"slope": column, "table": values, "digits": digits, "sizes": sizes}
 
 
 def _rates(rates: str | None) -> str | None:

@@ -26,7 +26,10 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.json:
         print(json.dumps(rows))
-    elif rows:
+    elif not rows:
+        print("There are no such gaits.", file=sys.stderr)
+        return 1
+    else:
         table = csv.DictWriter(sys.stdout, list(rows[0]), lineterminator="\n")
         table.writeheader()
         table.writerows(rows)
@@ -56,7 +59,7 @@ def gaits(
     reference = json.loads(REFERENCE.read_text(encoding="utf-8"))
     names = list(reference["walkers"])
     if walker is not None:
-        chosen = walker.removesuffix(".toml")
+        chosen = Path(walker).name.removesuffix(".toml")
         Location("", "walker").check_names([chosen], names, "walker")
         names = [chosen]
 

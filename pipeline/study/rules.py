@@ -127,7 +127,8 @@ def _optima_are_of_something(study: Study, top: Location) -> Iterator[StudyError
     options, place = registry.options("optimum", study.options), top.at("options")
     objectives = [options[name] for name in ("minimise", "maximise") if options[name]]
     if len(objectives) != 1:
-        yield place.error("An optimum needs either `minimise` or `maximise`")
+        both = ", not both" if objectives else ""
+        yield place.error(f"An optimum needs either `minimise` or `maximise`{both}")
         return
     if not 1 <= len(options["free"]) <= _MOST_FREE:
         yield place.error(

@@ -1,7 +1,7 @@
 """Tables of states that somebody holds for gaits: read from CSV, or taken from Python.
 
 Each number keeps the place of the last digit that was written, by which a table says how
-exact it is.
+exact it is: to as many decimals, or to as many digits, as any of a column has.
 """
 
 import csv
@@ -22,18 +22,18 @@ from gaitsweep.pipeline.study.location import Location, clip
 
 #: Most rows of a table, and MiB of a file.
 MOST_ROWS, _MOST_MIB = 1_000_000, 256
-#: By how much a shank in line with its thigh may differ from it, beside the last digits.
-_IN_LINE = 1e-9
 
 
 @dataclass(frozen=True)
 class States:
-    """Columns of a convention, as they were given: values (n,) and the sizes of their
-    last digits; `slope` is among them where the table has one.
+    """Columns of a convention, as they were given: values (n,), the sizes of their last
+    digits, and of the last ones that the table would have given; `slope` is among them
+    where the table has one.
     """
 
     values: dict[str, np.ndarray]
     digits: dict[str, np.ndarray]
+    sizes: dict[str, np.ndarray]
 
     @property
     def count(self) -> int:
@@ -158,38 +158,46 @@ def _states(table: Mapping[str, Sequence[Any]], convention: str) -> States:
                 f"Column `{name}` is missing, got {clip(', '.join(table) or 'none', 200)};"
                 " `map` names columns."
             )
+    _check_one_walker(table.get("walker", ()))
     wanted = [name for name in (*about["columns"], "slope") if name in table]
     count = len(table[wanted[0]])
     if not 1 <= count <= MOST_ROWS:
         raise StudyError(f"The table must have 1 to {MOST_ROWS:,} rows; got {count:,}.")
-    values, digits = {}, {}
+    values, digits, sizes = {}, {}, {}
     for name in wanted:
         read = [_read(name, row, cell) for row, cell in enumerate(table[name], 1)]
         values[name] = np.array([value for value, _ in read], float)
         digits[name] = np.array([digit for _, digit in read], float)
-    if convention == "gaitsweep" and "shank_angle" in table:
-        _check_knees(table["shank_angle"], values, digits)
-    return States(values, digits)
+        sizes[name] = _sizes(values[name], digits[name])
+    return States(values, digits, sizes)
 
 
-def _check_knees(
-    cells: Sequence[Any],
-    values: Mapping[str, np.ndarray],
-    digits: Mapping[str, np.ndarray],
-) -> None:
-    """Check that shanks are in line with their thighs."""
-    stance = values["stance_angle"]
-    thighs = values.get("thigh_angle", -stance)
-    sizes = digits.get("thigh_angle", digits["stance_angle"])
-    for row, cell in enumerate(cells, 1):
-        shank, size = _read("shank_angle", row, cell)
-        thigh = thighs[row - 1]
-        if abs(shank - thigh) > _IN_LINE + size + sizes[row - 1]:
-            raise StudyError(
-                f"Row {row} has a bent knee, `shank_angle` {shank:.6g} with the thigh at"
-                f" {thigh:.6g}: `check` takes states with straight knees; `simulate`"
-                " flies others on to their heelstrike."
-            )
+def _check_one_walker(names: Sequence[Any]) -> None:
+    """Check that a column `walker`, as `gaitsweep reference` prints, names one."""
+    distinct = list(dict.fromkeys(str(name).strip() for name in names))
+    if len(distinct) > 1:
+        raise StudyError(
+            f"Column `walker` must name one walker; got {clip(', '.join(distinct))}:"
+            " `check` compares all rows with `--walker`."
+        )
+
+
+def _sizes(values: np.ndarray, digits: np.ndarray) -> np.ndarray:
+    """Sizes (n,) of the last digits that a column gives: that of its most decimals, or of
+    its most digits, whichever is larger.
+    """
+    known = np.isfinite(values) & (digits > 0)
+    if not known.any():
+        return np.zeros(len(values))
+    finest = digits[known].min()
+    decade = np.full(len(values), -np.inf)
+    some = known & (values != 0)
+    decade[some] = np.floor(np.log10(np.abs(values[some])))
+    if not some.any():
+        return np.full(len(values), finest)
+
+    most = np.max(decade[some] - np.round(np.log10(digits[some])))
+    return np.asarray(np.maximum(finest, 10.0 ** (decade - most)))
 
 
 def _read(name: str, row: int, cell: Any) -> tuple[float, float]:

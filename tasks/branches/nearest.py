@@ -24,7 +24,8 @@ from gaitsweep.tasks.step.problem import Problem
 #: Newton steps from the polynomial of a branch; nearly all take two.
 _MAX_STEPS = 8
 #: Steps along a branch to the point nearest to a state, and the longest in ln slope.
-_MAX_STEPS_ALONG, _LONGEST = 20, 0.5
+_MAX_STEPS_ALONG = 20
+_LONGEST = 0.5
 #: Steps along a branch below which the point nearest to a state is reached: the next one
 #: is of the order of its square.
 _REACHED = 1e-8
@@ -32,7 +33,10 @@ _REACHED = 1e-8
 _CURVED = 10.0
 #: Points of a branch from node to node, to which sections are compared first, and by how
 #: much its polynomials may be off.
-_POINTS_BETWEEN, _INEXACT = 8, 1e-3
+_POINTS_BETWEEN = 8
+_INEXACT = 1e-3
+#: Way along a branch over which differences of states are taken.
+_SHORT_WAY = 1e-5
 #: Coordinates beyond which the way along a branch is lost.
 _MOST = 60.0
 
@@ -150,9 +154,9 @@ def gaits_at(
 
 def nearest_on_branches(
     problem: Problem, branches: Sequence[Branch], y: Sections, within: PerLane
-) -> list[tuple[PerLane, Gaits]]:
-    """Return the gaits of every branch that lie nearest to given sections, and their
-    slopes.
+) -> list[tuple[PerLane, Gaits, np.ndarray]]:
+    """Return the gaits of every branch that lie nearest to given sections, their slopes,
+    and how they change with these.
 
     Parameters
     ----------
@@ -165,8 +169,9 @@ def nearest_on_branches(
 
     Returns
     -------
-    list of (slope, gaits)
-        For each branch; NaN where none is so near.
+    list of (slope, gaits, changes)
+        For each branch; NaN where none is so near. `changes` (3, n) of the states are by
+        ln slope, to some ten digits.
     """
     target = np.vstack([np.log(y[:1]), y[1:] / y[0]])
     found = []
@@ -180,10 +185,13 @@ def nearest_on_branches(
         lanes = near[reached]
         slope = np.full(y.shape[1], np.nan)
         gaits = Gaits.none(y.shape[1])
-        w, q = along.Z[:-1, reached], along.Z[-1, reached]
+        w = along.Z[:-1, reached]
+        q = along.Z[-1, reached]
         slope[lanes] = np.exp(q)
         gaits.put(lanes, described(problem, w, q))
-        found.append((slope, gaits))
+        changes = np.full_like(gaits.state, np.nan)
+        changes[:, lanes] = along.changes(reached)
+        found.append((slope, gaits, changes))
     return found
 
 
@@ -264,6 +272,27 @@ class _Along:
         moves = matvec(stride.inverse, by_slope)
         of_section = similarity(stride.y, moves[:m])
         return onto, np.vstack([of_section, moves[m:], np.ones_like(q)[None]])
+
+    def changes(self, lanes: np.ndarray) -> np.ndarray:
+        """By how much states (3, n) of some lanes change, by ln slope along the branch."""
+        if not len(lanes):
+            return np.empty((3, 0))
+        _, tangent = self._directions(lanes)
+        way = _SHORT_WAY * tangent
+        ahead = self._states(lanes, self.Z[:, lanes] + way)
+        behind = self._states(lanes, self.Z[:, lanes] - way)
+        return np.asarray((ahead - behind) / (2.0 * _SHORT_WAY))
+
+    def _states(self, lanes: np.ndarray, Z: np.ndarray) -> np.ndarray:
+        """States (3, n) of points, of some lanes."""
+        angle = np.exp(Z[:1])
+        rates = Z[1 : len(self.target)] * angle
+
+        section = np.vstack([angle, rates])
+        slope = np.exp(Z[-1])
+        problem = self.problem.some(lanes)
+        state = problem.start(section, slope)
+        return state[:3]
 
     def _is_far(
         self,

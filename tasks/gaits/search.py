@@ -5,6 +5,7 @@ over the section, and from the gaits of small angles.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -160,6 +161,7 @@ def lattice_size(walker: Walker, slopes: Sequence[float], shares: int) -> int:
     return sum(lattice.shape[1] for lattice in lattices)
 
 
+@lru_cache(maxsize=64)
 def periods(walker: Walker) -> np.ndarray:
     """Periods of the guesses, from that in which the walker's leg swings by itself,
     shape (k,) [sqrt(leg/g)].

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from gaitsweep.tasks.contract.registry import VARIABLES, is_measure
-from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 
 def measures(walker: Walker) -> list[str]:
@@ -13,3 +15,19 @@ def measures(walker: Walker) -> list[str]:
         for name, about in VARIABLES.items()
         if is_measure(name) and about.only_of in ("", *walker.features)
     ]
+
+
+def check_measure(
+    name: str, walker: Walker, option: str, others: Iterable[str] = ()
+) -> None:
+    """Check that a name is that of a measure of a walker's gaits, or one of others.
+
+    Raises
+    ------
+    WalkerError
+        If it is not, naming the option that asks for it.
+    """
+    known = measures(walker)
+    if name not in (*known, *others):
+        bound = f"must be a measure of its gaits: {', '.join(known)}"
+        raise WalkerError(option, name, bound)

@@ -250,12 +250,15 @@ class Sampled:
 
     def _locate(self, k: int, wanted: float) -> np.ndarray:
         """The gait (u,) with a value between a sample and the next, by bisection and
-        interpolation along the curve; NaN where corrected gaits do not bracket it.
+        interpolation along the curve; NaN where corrected gaits do not bracket it, or
+        where the measure changes its sign through infinity.
 
         Where a measure changes much more across a curve than along it, Newton's method
         fails.
         """
-        chord = self.X[:, [k + 1]] - self.X[:, [k]]
+        before = self.X[:, [k]]
+        after = self.X[:, [k + 1]]
+        chord = after - before
 
         def corrected(place: float) -> Coordinates:
             guess = self.curve.at(np.array([place]))
@@ -269,6 +272,10 @@ class Sampled:
         try:
             place = bracketed_root(off, self.place[k], self.place[k + 1])
         except ValueError:
+            return np.full(len(chord), np.nan)
+
+        ends = np.abs(self.values[k : k + 2] - wanted)
+        if abs(off(place)) > ends.max():
             return np.full(len(chord), np.nan)
         return corrected(place)[:, 0]
 

@@ -59,6 +59,8 @@ MAX_ANGLE, MAX_TIME = float(np.exp(MAX_LOG_ANGLE)), 12.0
 #: Time step of the scan [sqrt(leg/g)], by whether there are knees: a free shank swings
 #: faster.
 _TIME_STEP = {False: 0.125, True: 0.0625}
+#: Largest angle of a state within a step that sets its scale, at least [rad].
+_LEAST_ANGLE = 1e-3
 #: Lanes simulated side by side: their states stay in the cache.
 _SIDE_BY_SIDE = 4096
 #: Most time steps taken before strikes are looked for: of a lane, and of all lanes
@@ -464,6 +466,70 @@ def _correct(
         steps.times[:, lanes] = at.times
         steps.jacobian[:, :, lanes] = at.jacobian
         steps.outcome[lanes[~np.isfinite(at.image).all(axis=0)]] = LOST
+
+
+def fly_on(
+    problem: Problem, links: States, is_bent: np.ndarray, slope: Slopes
+) -> tuple[Sections, np.ndarray]:
+    """Fly states within a step to the heelstrike that ends it.
+
+    Parameters
+    ----------
+    problem : Problem
+        The walker, n lanes.
+    links : ndarray, shape (6, n) [rad, rad/sqrt(leg/g)]
+        Angles, then rates, of stance leg, swing thigh and swing shank.
+    is_bent : ndarray of bool, shape (n,)
+        Whether the swing knee is bent, so that a kneestrike is to come; of straight knees
+        it has been, or is now.
+    slope : ndarray, shape (n,) [rad]
+
+    Returns
+    -------
+    section : ndarray, shape (m, n) [rad, rad/sqrt(leg/g)]
+        NaN of falls.
+    outcome : ndarray of int, shape (n,)
+        Index of CAUSES.
+    """
+    scan = scanner(problem.structure)
+    scale = scale_of(np.maximum(np.abs(links[:3]).max(axis=0), _LEAST_ANGLE))
+    parameters = problem.parameters(slope, scale)
+    x, outcome = _with_locked_knees(scan, links / scale, is_bent, parameters)
+
+    lanes = np.flatnonzero(outcome == STRUCK)
+    state, _, outcome[lanes] = scan.integrate_to_event(
+        False, x[:, lanes], np.zeros(len(lanes)), parameters[:, lanes]
+    )
+
+    section = np.full((problem.m, len(slope)), np.nan)
+    struck = outcome[lanes] == STRUCK
+    lanes = lanes[struck]
+    if len(lanes):
+        landed = scan.strike(state[:, struck], parameters[:, lanes])
+        section[:, lanes] = landed * scale[lanes]
+    return section, outcome
+
+
+def _with_locked_knees(
+    scan: Scanner, x: States, is_bent: np.ndarray, parameters: Parameters
+) -> tuple[States, np.ndarray]:
+    """Scaled states (4, n) of two links after kneestrike, from those of three, and the
+    outcomes until then.
+    """
+    outcome = np.full(x.shape[1], STRUCK)
+    two = x[[0, 1, 3, 4]]
+    if not scan.structure.kneed:
+        return two, outcome
+
+    bent = np.flatnonzero(is_bent)
+    if len(bent):
+        x[:, bent], _, outcome[bent] = scan.integrate_to_event(
+            True, x[:, bent], np.zeros(len(bent)), parameters[:, bent]
+        )
+    lanes = np.flatnonzero(outcome == STRUCK)
+    if len(lanes):
+        two[:, lanes] = scan.lock(x[:, lanes], parameters[:, lanes])
+    return two, outcome
 
 
 def step_onto(

@@ -43,13 +43,22 @@ def height(length: float, stance: np.ndarray, thigh: np.ndarray) -> np.ndarray:
     return np.asarray(-2.0 * length * np.sin(mean) * np.sin(half))
 
 
-def foot_height(walker: Walker, stance: float, thigh: float, shank: float) -> float:
-    """Return the height of the swing foot's centre above the stance foot's, over the leg;
-    with the knee bent if thigh and shank differ.
+def between_feet(
+    walker: Walker, stance: np.ndarray, thigh: np.ndarray, shank: np.ndarray
+) -> np.ndarray:
+    """Return the way from the stance foot's centre to the swing foot's, x + iy over the
+    leg, y along the ground's normal; with the knee bent if thigh and shank differ.
 
     From the hip the knee, then the foot's centre follow; at full extension the two links
     make the line from hip to foot, from which both angles are measured.
     """
-    knee = walker.knee * np.exp(1j * thigh)
-    foot = knee + (-1j * walker.l - walker.knee) * np.exp(1j * shank)
-    return float((walker.l * np.cos(stance) + foot.imag) / walker.leg)
+    line = -1j * walker.l
+    foot = walker.knee * np.exp(1j * thigh) + (line - walker.knee) * np.exp(1j * shank)
+    return np.asarray((foot - line * np.exp(1j * stance)) / walker.leg)
+
+
+def ground_under(way: np.ndarray) -> np.ndarray:
+    """Return by how much gentler the slope is on which both feet stand, [rad], from the
+    way between them: of locked knees it is `tilt`.
+    """
+    return np.asarray(np.arctan(way.imag / way.real))

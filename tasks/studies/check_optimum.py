@@ -5,27 +5,13 @@ module imports no solver.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from gaitsweep.tasks.contract import registry
-from gaitsweep.tasks.measures.names import measures
-from gaitsweep.tasks.walkers.resolve import resolve
-from gaitsweep.tasks.walkers.walker import Walker, WalkerError
-
-
-def walker_over(
-    line: Mapping[str, Any], keys: Iterable[str], values: Iterable[float]
-) -> Walker:
-    """Return a line's walker at values of several keys.
-
-    Raises
-    ------
-    WalkerError
-        If there is none.
-    """
-    own = line.get("set") or {}
-    return resolve(line["walker"], {**own, **dict(zip(keys, values, strict=True))})
+from gaitsweep.tasks.measures.names import check_measure
+from gaitsweep.tasks.walkers.resolve import walkers_over
+from gaitsweep.tasks.walkers.walker import WalkerError
 
 
 def check(params: Mapping[str, Any]) -> None:
@@ -46,14 +32,13 @@ def check(params: Mapping[str, Any]) -> None:
     line = {"walker": params["walker"], "set": params.get("set") or {}}
     free = options["free"]
     for corner in itertools.product(*free.values()):
-        walker = walker_over(line, free, corner)
+        walker = walkers_over(line, *free)(*corner)
+    if "g" in free and walker.is_passive:
+        raise WalkerError("free", "g", "must hold keys that change more than units")
 
-    known = measures(walker)
     name = options["minimise"] or options["maximise"]
     named = {name: "maximise" if options["maximise"] else "minimise"}
     named |= dict.fromkeys(options["within"], "within")
     named |= dict.fromkeys(options["tradeoff"], "tradeoff")
     for measure, option in named.items():
-        if measure not in (*known, "slope", *free):
-            bound = f"must be a measure of its gaits: {', '.join(known)}"
-            raise WalkerError(option, measure, bound)
+        check_measure(measure, walker, option, ("slope", *free))

@@ -32,8 +32,9 @@ from gaitsweep.tasks.contract.registry import GAITS, SLOPES
 from gaitsweep.tasks.gaits.newton import newton
 from gaitsweep.tasks.gaits.step_check import verify_steps
 from gaitsweep.tasks.mechanics.lumped import general_structure_of
+from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.lanes import lanes_of
-from gaitsweep.tasks.step.problem import Lanes, Problem, scale_of
+from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.several_steps import joined
 from gaitsweep.tasks.step.simulate import (
     BACKWARD,
@@ -42,14 +43,19 @@ from gaitsweep.tasks.step.simulate import (
     MAX_ANGLE,
     STRUCK,
     SimulatedSteps,
-    scanner,
+    fly_on,
     stride,
 )
-from gaitsweep.tasks.step.stance import ON_GROUND, half_between, height, tilt
+from gaitsweep.tasks.step.stance import (
+    ON_GROUND,
+    between_feet,
+    ground_under,
+    half_between,
+)
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
-from gaitsweep.tasks.walkers.conventions import rate_unit, to_ours
+from gaitsweep.tasks.walkers.conventions import KNEE, rate_unit, shank_of, to_ours
 from gaitsweep.tasks.walkers.resolve import walker_of_line
-from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: Most steps after which a state is looked for again.
 MOST_STEPS = 8
@@ -58,8 +64,15 @@ MOST_STEPS = 8
 _RETURNS = 0.05
 #: The last digit given never allows more than this, relative.
 _COARSEST = 0.01
+#: By how much a shank in line with its thigh may differ from it, beside the last digits.
+_IN_LINE = 1e-9
 #: By how much more a state flown to the section, or changed by a fault, may differ.
 _FLOWN, _CHANGED = 20.0, 2.0
+#: By how much more than states the sections of knees may differ, which are those before
+#: the impact.
+_BEFORE_IMPACT = 5.0
+#: Change of ln slope over which branches count as straight.
+_STRAIGHT = 0.02
 #: Relative distance up to which a gait is called near.
 _NEAR = 0.1
 #: Points of each piece of a branch in a picture.
@@ -83,9 +96,10 @@ def check_states(params: Mapping[str, Any]) -> dict[str, Any]:
     params : mapping
         `walker` (name or table), `set` (keys to change), `slope`, ndarray, shape (n,)
         [rad]; `table`, the columns of a `convention`, ndarray, shape (n,), angles in rad;
-        `digits`, the same columns, the size of the last digit given; `rates` ("walker",
-        "scaled", or None for the convention's own); `tolerance`, relative; `steps`, after
-        which they are held to repeat.
+        `digits`, the same columns and `slope` where the table has it, the size of the last
+        digit given; `sizes`, of the last one that the table would have given; `rates`
+        ("walker", "scaled", or None for the convention's own); `tolerance`, relative;
+        `steps`, after which they are held to repeat.
 
     Returns
     -------
@@ -115,6 +129,7 @@ def check_states(params: Mapping[str, Any]) -> dict[str, Any]:
     case.step()
     case.find_nearest()
     case.judge_gaits()
+    case.judge_rounded_slopes()
     case.judge_digits()
     case.judge_faults()
     case.judge_slopes()
@@ -135,16 +150,21 @@ class _Rows:
     """States to be judged, in n lanes.
 
     `state` (3, n) stance angle, stance rate and thigh rate [rad, rad/sqrt(leg/g)] on the
-    section; `thigh` (n,) [rad]; `slope` (n,) [rad]; `near` (3, n) the last digit
-    of the table, `own` that of the row's own digits; `relative` the tolerance; `unit` what
-    the table's rates were multiplied by.
+    section; `thigh` (n,) [rad]; `shank` (2, n) angle and rate of the swing shank, NaN of a
+    rate that is not given, and `bent` (n,) whether its knee is; `slope` (n,) [rad]; `near`
+    (3, n) the last digit of the table, `own` that of the row's own digits; `near_slope`
+    (n,) [rad] what rounding may have changed of the slope; `relative` the tolerance; `unit`
+    what the table's rates were multiplied by.
     """
 
     state: np.ndarray
     thigh: np.ndarray
+    shank: np.ndarray
+    bent: np.ndarray
     slope: np.ndarray
     near: np.ndarray
     own: np.ndarray
+    near_slope: np.ndarray
     relative: float
     unit: float
 
@@ -156,19 +176,75 @@ class _Rows:
         units = np.array([1.0, 1.0, unit, unit])[:, None]
         ours = to_ours(convention, params["table"], slope) * units
 
-        finest = {}
-        for name, sizes in params["digits"].items():
-            least = sizes[sizes > 0].min(initial=np.inf)
-            finest[name] = np.full(len(slope), least if np.isfinite(least) else 0.0)
-        near = to_ours(convention, finest, slope, is_size=True) * units
+        near = to_ours(convention, params["sizes"], slope, is_size=True) * units
         own = to_ours(convention, params["digits"], slope, is_size=True) * units
 
         on_section = [0, 2, 3]
         relative = float(params["tolerance"])
         state = ours[on_section].copy()
+        shank, bent = _knees(walker, params, ours[1], near[1])
+        shank[1] *= unit
         return cls(
-            state, ours[1], slope, near[on_section], own[on_section], relative, unit
+            state=state,
+            thigh=ours[1],
+            shank=shank,
+            bent=bent,
+            slope=slope,
+            near=near[on_section],
+            own=own[on_section],
+            near_slope=_sizes_of_slope(params, near[on_section]),
+            relative=relative,
+            unit=unit,
         )
+
+    def links(self, lanes: np.ndarray) -> np.ndarray:
+        """Angles, then rates, of stance leg, thigh and shank of some rows, (6, k); a shank
+        whose rate is not given moves as its thigh.
+        """
+        angle, stance_rate, thigh_rate = self.state[:, lanes]
+        shank_angle, shank_rate = self.shank[:, lanes]
+        shank_rate = np.where(np.isnan(shank_rate), thigh_rate, shank_rate)
+        angles = [angle, self.thigh[lanes], shank_angle]
+        return np.array([*angles, stance_rate, thigh_rate, shank_rate])
+
+
+def _sizes_of_slope(params: Mapping[str, Any], near: np.ndarray) -> np.ndarray:
+    """What rounding may have changed of slopes: half of their last digit, where that is as
+    fine as one of the states' (3, n); slopes in fewer decimals are taken for exact.
+    """
+    sizes = params["sizes"].get("slope", np.zeros(near.shape[1]))
+    as_fine = sizes <= near.max(axis=0) * (1.0 + 1e-9)
+    return np.asarray(np.where(as_fine, 0.5 * sizes, 0.0))
+
+
+def _knees(
+    walker: Walker, params: Mapping[str, Any], thigh: np.ndarray, size: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angle and rate (2, n) of the swing shank, and whether the knee is bent by more than
+    the last digits.
+
+    Raises
+    ------
+    WalkerError
+        If a knee is bent of a walker without knees, or of a shank without a rate.
+    """
+    shank = shank_of(params["convention"], params["table"])
+    angle = KNEE[0]
+    if angle not in params["table"]:
+        shank[0] = thigh
+        return shank, np.zeros(len(thigh), bool)
+
+    sizes = size + params["sizes"][angle]
+    bent = np.abs(shank[0] - thigh) > _IN_LINE + sizes
+    if bent.any():
+        row = int(bent.argmax())
+        where = f"{shank[0, row]:.6g} rad and {thigh[row]:.6g} rad in row {row + 1}"
+        if not walker.knees:
+            line = "must be the thigh's angle of a walker without knees"
+            raise WalkerError(angle, where, line)
+        if KNEE[1] not in params["table"]:
+            raise WalkerError(KNEE[1], "no column", f"is needed: a knee bends, {where}")
+    return shank, bent
 
 
 def _sizes(state: np.ndarray) -> np.ndarray:
@@ -181,6 +257,18 @@ def _sizes(state: np.ndarray) -> np.ndarray:
 def _distance(state: np.ndarray, gait: np.ndarray) -> np.ndarray:
     """Largest difference of a coordinate of states (3, n), relative to the gaits'."""
     return np.asarray((np.abs(state - gait) / _sizes(gait)).max(axis=0))
+
+
+@dataclass
+class _OnBranch:
+    """The gaits (3, n) of a branch nearest to n states, NaN of none: at which slope, how
+    they change by its ln, and how much further along it is nearest by the tolerances.
+    """
+
+    slope: np.ndarray
+    gaits: Gaits
+    changes: np.ndarray
+    along: np.ndarray
 
 
 @dataclass
@@ -256,17 +344,17 @@ class _Case:
     def refuse(self) -> None:
         """Refuse rows that are no numbers, or whose swing foot is below the ground."""
         rows = self.rows
-        finite = np.isfinite(rows.state).all(axis=0) & np.isfinite(rows.thigh)
-        self.say("not_a_number", np.flatnonzero(~finite))
+        links = rows.links(np.arange(self.n))
+        self.say("not_a_number", np.flatnonzero(~np.isfinite(links).all(axis=0)))
+        lacks_rate = rows.bent & ~np.isfinite(rows.shank[1])
+        self.say("not_a_number", np.flatnonzero(lacks_rate))
 
         lanes = self.open
-        stance, thigh = rows.state[0, lanes], rows.thigh[lanes]
-        lowest = height(1.0, stance, thigh)
-        off = np.abs(tilt(stance, thigh)) > self._on_ground(lanes)
-        self.depth[lanes] = np.where(off, -lowest, 0.0)
-        self.belongs[lanes] = np.where(
-            off, rows.slope[lanes] - tilt(stance, thigh), np.nan
-        )
+        way = between_feet(self.walker, *links[:3, lanes])
+        tilt = ground_under(way)
+        off = (np.abs(tilt) > self._on_ground(lanes)) | rows.bent[lanes]
+        self.depth[lanes] = np.where(off, -way.imag, 0.0)
+        self.belongs[lanes] = np.where(off, rows.slope[lanes] - tilt, np.nan)
 
     def _on_ground(self, lanes: np.ndarray) -> np.ndarray:
         """Half sum of the legs' angles that counts as zero."""
@@ -281,15 +369,16 @@ class _Case:
         lanes = self.open[np.isfinite(self.belongs[self.open])]
         if not len(lanes):
             return
-        rows = self.rows
-        stance, thigh = rows.state[0, lanes].copy(), rows.thigh[lanes]
-        rows.state[0, lanes] = half_between(stance, thigh)
-        self._judge_ground(lanes)
-
-        self._judge_vertical(lanes)
+        rows, links = self.rows, self.rows.links(lanes)
+        is_straight = ~rows.bent[lanes]
+        if is_straight.any():
+            straight = lanes[is_straight]
+            rows.state[0, straight] = half_between(*links[:2, is_straight])
+            self._judge_ground(straight)
+            self._judge_vertical(straight)
 
         left = self.verdict[lanes] == ""
-        lanes, stance, thigh = lanes[left], stance[left], thigh[left]
+        lanes, links = lanes[left], links[:, left]
         below = self.depth[lanes] > 0
         self.say(
             "below_ground",
@@ -297,7 +386,7 @@ class _Case:
             depth=self.depth[lanes[below]],
             belongs=self.belongs[lanes[below]],
         )
-        self._fly(lanes[~below], stance[~below], thigh[~below])
+        self._fly(lanes[~below], links[:, ~below])
 
     def _judge_vertical(self, lanes: np.ndarray) -> None:
         """Tell rows that are gaits by the angle between the legs, at the slope given."""
@@ -325,28 +414,18 @@ class _Case:
         self.belongs[lanes] = slopes
         self.say("slope", lanes, belongs=slopes, degrees=np.degrees(slopes))
 
-    def _fly(self, lanes: np.ndarray, stance: np.ndarray, thigh: np.ndarray) -> None:
-        """Fly states with the swing foot above the ground, and the knee locked, to the
-        section.
-        """
+    def _fly(self, lanes: np.ndarray, links: np.ndarray) -> None:
+        """Fly states of links (6, k) with the swing foot above the ground to the section."""
         if not len(lanes):
             return
-        rates = self.rows.state[1:, lanes]
-        scale = scale_of(np.maximum(np.abs(stance), 1e-3))
-        problem = self.general.some(lanes)
-        parameters = problem.parameters(self.rows.slope[lanes], scale)
-        x = np.vstack([stance, thigh, rates]) / scale
-        scan = scanner(problem.structure)
-        state, _, outcome = scan.integrate_to_event(
-            False,
-            x,
-            np.zeros(len(lanes)),
-            parameters,
+        section, outcome = fly_on(
+            self.general.some(lanes),
+            links,
+            self.rows.bent[lanes],
+            self.rows.slope[lanes],
         )
-
         struck = outcome == STRUCK
-        section = scan.strike(state[:, struck], parameters[:, struck])
-        self._land(lanes[struck], section * scale[struck])
+        self._land(lanes[struck], section[:, struck])
         self.outcome[lanes] = outcome
         self.flown[lanes] = True
         self.belongs[lanes] = np.nan
@@ -470,8 +549,43 @@ class _Case:
             are = self.within(state, gait, lanes, factors)
         if self.claimed == 1:
             self.say("gait", lanes[are])
+            self._tell_digits(lanes[are])
+            self._judge_shanks(lanes[are])
         else:
             self.say("period", lanes[are], steps=self.steps[lanes[are]])
+
+    def _tell_digits(self, lanes: np.ndarray) -> None:
+        """Say of gaits that are farther off than the tolerance to how many digits."""
+        digits = self._digits(lanes)
+        is_rounded = self.distance[lanes] > self.rows.relative
+        is_rounded &= ~self.flown[lanes] & np.isfinite(digits)
+        for lane, count in zip(lanes[is_rounded], digits[is_rounded], strict=True):
+            self.reason[lane] = f"A gait, to the {count:.0f} digits given."
+
+    def _digits(self, lanes: np.ndarray) -> np.ndarray:
+        """To how many digits a table gives the coarsest coordinate of some rows."""
+        with np.errstate(divide="ignore"):
+            share = self.rows.near[:, lanes] / _sizes(self.rows.state[:, lanes])
+            return np.asarray(np.ceil(-np.log10(share.max(axis=0))))
+
+    def _judge_shanks(self, lanes: np.ndarray) -> None:
+        """Tell rows that are gaits but for their free shank's rate."""
+        lanes = lanes[np.isfinite(self.rows.shank[1, lanes]) & ~self.flown[lanes]]
+        if not self.walker.knees or not len(lanes):
+            return
+        sections = self._sections(lanes, self.rows.state[:, lanes])
+        given = self.general.some(lanes).start(sections, self.rows.slope[lanes])[3]
+        found = self.rows.shank[1, lanes]
+        sizes = _sizes(self.rows.state[:, lanes])[2]
+        allowed = self._relative_tolerance(lanes) * np.maximum(sizes, np.abs(given))
+        wrong = np.abs(found - given) > _CHANGED * allowed
+        unit = self.walker.time_unit
+        self.say(
+            "shank_rate",
+            lanes[wrong],
+            found=found[wrong] / unit,
+            given=given[wrong] / unit,
+        )
 
     def judge_digits(self) -> None:
         """Tell rows that are gaits to fewer digits than the table has."""
@@ -569,21 +683,58 @@ class _Case:
                 self._set_nearest(lanes[are], _taken(gaits, lanes[are]))
                 self.say("before_heelstrike", lanes[are])
 
+    def judge_rounded_slopes(self) -> None:
+        """Tell rows that are gaits of the slope that was rounded to theirs."""
+        near, slope = self.rows.near_slope, self.rows.slope
+        lanes = self.steppable
+        lanes = lanes[near[lanes] > self.rows.relative * slope[lanes]]
+        low, high = np.log(slope - near), np.log(slope + near)
+        for found in self._on_branches(lanes):
+            q = np.log(found.slope)
+            along = np.clip(q + found.along, low[lanes], high[lanes]) - q
+            are = self._are(found, along, lanes, 1.0)
+            self.say("gait", lanes[are])
+            for lane, to in zip(lanes[are], np.exp(q + along)[are], strict=True):
+                digits = f"{slope[lane]:.6g}, which may have been {to:.6g}"
+                self.reason[lane] = f"A gait to the digits of its slope, {digits}."
+            self._set_nearest(lanes[are], _taken(found.gaits, np.flatnonzero(are)))
+
     def judge_slopes(self) -> None:
         """Tell rows that are gaits of another slope."""
         lanes = self.steppable
+        for found in self._on_branches(lanes):
+            are = self._are(found, found.along, lanes, _CHANGED)
+            slope = found.slope * np.exp(found.along)
+            self._say_slope(lanes[are], slope[are])
+
+    def _are(
+        self, found: _OnBranch, along: np.ndarray, lanes: np.ndarray, factor: float
+    ) -> np.ndarray:
+        """Which of some rows without a verdict are the gaits found, so far along."""
+        with np.errstate(invalid="ignore"):
+            is_straight = np.abs(along) <= _STRAIGHT
+            gait = found.gaits.state + along * found.changes
+            are = self.within(self.rows.state[:, lanes], gait, lanes, factor)
+        return np.asarray(are & is_straight & (self.verdict[lanes] == ""))
+
+    def _on_branches(self, lanes: np.ndarray) -> Iterator[_OnBranch]:
+        """The gaits nearest to some rows on each branch, at any slope."""
         if not len(lanes):
             return
         state = self.rows.state[:, lanes]
         y = self._sections(lanes, state)[: self.problem.m]
-        problem = self.problem
-        for slope, gaits in nearest_on_branches(
-            problem, self.branches, y, _CHANGED * self._relative_tolerance(lanes)
+        within = _CHANGED * self._relative_tolerance(lanes)
+        if self.walker.knees:
+            within *= _BEFORE_IMPACT
+        allowed = self.rows.relative * _sizes(state) + self.rows.near[:, lanes]
+        for slope, gaits, changes in nearest_on_branches(
+            self.problem, self.branches, y, within
         ):
-            with np.errstate(invalid="ignore"):
-                are = self.within(state, gaits.state, lanes, _CHANGED)
-            are &= self.verdict[lanes] == ""
-            self._say_slope(lanes[are], slope[are])
+            moves = changes / allowed
+            with np.errstate(invalid="ignore", divide="ignore"):
+                products = moves * (state - gaits.state) / allowed
+                along = total(products) / total(moves**2)
+            yield _OnBranch(slope, gaits, changes, along)
 
     def judge_walkers(self) -> None:
         """Tell rows that are gaits of another walker of the catalogue at their slope."""

@@ -17,7 +17,8 @@ from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
 from gaitsweep.tasks.gaits.labels import places
 from gaitsweep.tasks.gaits.polish import settle, unmeasured
 from gaitsweep.tasks.gaits.step_check import gait_ratio
-from gaitsweep.tasks.measures.levels import measures, measures_at
+from gaitsweep.tasks.measures.levels import measures_at
+from gaitsweep.tasks.measures.names import check_measure, measures
 from gaitsweep.tasks.measures.sensitivities import SLOPE, KeyOfWalker, at_gaits
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import (
@@ -123,12 +124,9 @@ class _By:
 
 def _names(wanted: Sequence[str] | None, walker: Walker) -> list[str]:
     """The measures wanted, checked."""
-    known = measures(walker)
     for name in wanted or ():
-        if name not in known:
-            bound = f"must be a measure of its gaits: {', '.join(known)}"
-            raise WalkerError("variables", name, bound)
-    return list(wanted) if wanted else known
+        check_measure(name, walker, "variables")
+    return list(wanted) if wanted else measures(walker)
 
 
 def _keys(wanted: Sequence[str] | None, line: Mapping[str, Any]) -> list[str]:

@@ -20,7 +20,6 @@ from gaitsweep.tasks.branches.curves import (
     at_value,
     follow_both_directions,
     turning,
-    walks,
 )
 from gaitsweep.tasks.branches.equations import (
     DIFFERENCE,
@@ -32,9 +31,11 @@ from gaitsweep.tasks.branches.equations import (
 from gaitsweep.tasks.branches.special_points import RATES, passings, special_points
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
-from gaitsweep.tasks.measures.levels import level, measures
+from gaitsweep.tasks.measures.levels import level
+from gaitsweep.tasks.measures.names import check_measure
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
+from gaitsweep.tasks.studies.curve_rows import rows, start_and_period
 from gaitsweep.tasks.studies.follow_over_keys import curves_over_keys
 from gaitsweep.tasks.walkers.resolve import value_of_key, walker_of_line, walkers_over
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
@@ -156,10 +157,7 @@ def _conditions(options: Mapping[str, Any], walker: Walker) -> dict[str, Conditi
     """
     conditions = {kind: CONDITIONS[kind] for kind in options["kinds"]}
     for measure, value in options["levels"].items():
-        known = measures(walker)
-        if measure not in known:
-            bound = f"must be measures of its gaits: {', '.join(known)}"
-            raise WalkerError("levels", measure, bound)
+        check_measure(measure, walker, "levels")
         conditions[f"{measure} = {value:g}"] = level(measure, value)
     return conditions
 
@@ -191,30 +189,15 @@ def _follow_all(
         returns = at_value(equations, points, first.Z[-1, 0])
         seen += [(kind, X) for X in (first.Z[:, 0], *returns)]
         number = len({row[0] for row in tables.curves})
-        tables.curves.extend(_rows(number, kind, equations, points, stopped, window))
+
+        def placed(X: ndarray, equations: Equations = equations) -> tuple[Any, ...]:
+            return (*_place(equations, X, window), _error(equations, X, window))
+
+        tables.curves.extend(rows((number, kind), equations, points, stopped, placed))
         tables.turnings.extend(
             _turning_rows(number, kind, equations, points, tangents, window)
         )
     return bool(seen)
-
-
-def _rows(
-    number: int,
-    kind: str,
-    equations: Equations,
-    points: ndarray,
-    stopped: tuple[str, str],
-    window: _Window,
-) -> Iterator[tuple[Any, ...]]:
-    """Rows of a curve's points (p, u)."""
-    reasons = [""] * len(points)
-    reasons[0] = stopped[0]
-    reasons[-1] = stopped[1]
-    for X, reason in zip(points, reasons, strict=True):
-        error = _error(equations, X, window)
-        is_step = int(walks(equations, X))
-        place = _place(equations, X, window)
-        yield (number, kind, *place, error, is_step, reason)
 
 
 def _turning_rows(
@@ -271,15 +254,10 @@ def _place(equations: Equations, X: ndarray, window: _Window) -> tuple[Any, ...]
     slope = float(np.exp(window.inside(X)[-2]))
     ((value,),) = window.keys.values(X[-1:, None]).tolist()
     time_unit = window.keys.walker_at(value).time_unit
-    period = float(X[-3]) * time_unit
 
     problem = equations.problem_at(X[:, None])
-    y, scale = problem.section(X[:-2, None])
-    state = problem.start(y * scale, np.array([slope]))[:, 0]
-    angle, *rates = state.tolist()
-    rates = [rate / time_unit for rate in rates]
-    key = window.keys.names[0]
-    return (slope, key, value, angle, *rates, period)
+    gait = start_and_period(problem, X[:-2], slope, time_unit)
+    return (slope, window.keys.names[0], value, *gait)
 
 
 def _error(equations: Equations, X: ndarray, window: _Window) -> float:

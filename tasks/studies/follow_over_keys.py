@@ -11,13 +11,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
 from gaitsweep.tasks.branches.conditions import Condition
-from gaitsweep.tasks.branches.curves import follow_both_directions, walks
+from gaitsweep.tasks.branches.curves import follow_both_directions
 from gaitsweep.tasks.branches.equations import (
     Equations,
     Keys,
@@ -29,13 +29,14 @@ from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.measures.passed import Curve
 from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.problem import EPS
-from gaitsweep.tasks.step.sameness import SAME_POINT, same
+from gaitsweep.tasks.studies.curve_rows import rows, start_and_period
 from gaitsweep.tasks.studies.gaits_over_key import (
     SURVEYED,
     gaits_over_key,
+    is_on,
     survey_together,
 )
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import walkers_over
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Why a line has no curve.
@@ -45,8 +46,6 @@ _NO_START = (
 )
 #: Samples of a condition between two nodes of a curve of gaits.
 _PARTS = 4
-#: Share of a segment by which the point beside another may lie beyond its nodes.
-_AT_NODE = 0.05
 #: How far a point may lie from the samples that bracket it, over their distance.
 _NEAR = 3.0
 _COLUMNS = (
@@ -86,8 +85,7 @@ class _Plane:
 
     def walker_at(self, *values: float) -> Walker:
         """The walker at values of both keys."""
-        own = dict(zip(self.names, values, strict=True))
-        return resolve(self.line["walker"], {**(self.line.get("set") or {}), **own})
+        return walkers_over(self.line, *self.names)(*values)
 
     @cached_property
     def keys(self) -> Keys:
@@ -163,17 +161,18 @@ def curves_over_keys(
         If the walker has no such keys.
     """
     low, high = zip(*ranges.values(), strict=True)
-    rows: list[tuple[Any, ...]] = []
+    found: list[tuple[Any, ...]] = []
     for slope in slopes.tolist():
         plane = _Plane(line, tuple(ranges), low, high, slope)
         along = list(plane.curves())
         for kind, condition in conditions.items():
-            for curve in _followed(plane, condition, along):
-                number = len({row[0] for row in rows})
-                rows += _rows(number, kind, plane, *curve)
+            for equations, points, stopped in _followed(plane, condition, along):
+                number = len({row[0] for row in found})
+                placed = partial(_place, plane, equations)
+                found += rows((number, kind), equations, points, stopped, placed)
 
-    found = table("curves", rows, _COLUMNS)
-    return found if rows else found | nothing(_NO_START)
+    curves = table("curves", found, _COLUMNS)
+    return curves if found else curves | nothing(_NO_START)
 
 
 def _followed(
@@ -192,32 +191,13 @@ def _followed(
         is_near = norm(first.Z - guess[:, None])[0] < _NEAR * length
         if not first.ok[0] or not is_near:
             continue
-        if any(_is_on(equations, points, first.Z[:, 0]) for points in followed):
+        if is_on(equations, followed, first.Z[:, 0]):
             continue
         if not _is_genuine(condition, first.at.gait.jacobians[0]):
             continue
         points, _, stopped = follow_both_directions(equations, first, plane.window)
         followed.append(points)
         yield equations, points, stopped
-
-
-def _is_on(equations: Equations, points: np.ndarray, X: np.ndarray) -> bool:
-    """Whether a point (u,) lies on a curve (p, u): the curve's own point beside it,
-    between its nearest node and a neighbour, is the same.
-    """
-    nearest = int(np.linalg.norm(points - X, axis=1).argmin())
-    for k in (nearest - 1, nearest):
-        if not 0 <= k < len(points) - 1:
-            continue
-        chord = points[k + 1] - points[k]
-        share = float((X - points[k]) @ chord / (chord @ chord))
-        if not -_AT_NODE <= share <= 1 + _AT_NODE:
-            continue
-        guess = points[k] + share * chord
-        beside = correct_on_curve(equations, guess[:, None], chord[:, None])
-        if beside.ok[0] and same(beside.Z[:, 0], X, SAME_POINT):
-            return True
-    return False
 
 
 def _is_genuine(condition: Condition, jacobian: np.ndarray) -> bool:
@@ -249,23 +229,6 @@ def _starts(
             yield np.append(there[:-1], keys), -1 - number, length
 
 
-def _rows(
-    number: int,
-    kind: str,
-    plane: _Plane,
-    equations: Equations,
-    points: np.ndarray,
-    stopped: tuple[str, str],
-) -> Iterator[tuple[Any, ...]]:
-    """Rows of a curve's points (p, u)."""
-    reasons = [""] * len(points)
-    reasons[0] = stopped[0]
-    reasons[-1] = stopped[1]
-    for X, reason in zip(points, reasons, strict=True):
-        is_step = int(walks(equations, X))
-        yield (number, kind, *_place(plane, equations, X), is_step, reason)
-
-
 def _place(plane: _Plane, equations: Equations, X: np.ndarray) -> tuple[Any, ...]:
     """Slope, both keys with their values, state at the start of the step and period of
     a point, in the walker's units, and a bound on the relative error of the slope.
@@ -274,14 +237,9 @@ def _place(plane: _Plane, equations: Equations, X: np.ndarray) -> tuple[Any, ...
     time_unit = plane.walker_at(value, other).time_unit
     problem = equations.problem_at(X[:, None]).alone(0)
     Z, _ = equations.split(X[:, None])
-
-    y, scale = problem.section(Z[:-1])
-    state = problem.start(y * scale, np.array([plane.slope]))[:, 0]
-    angle, *rates = state.tolist()
-    rates = [rate / time_unit for rate in rates]
-    period = float(Z[-2, 0]) * time_unit
+    gait = start_and_period(problem, Z[:-1, 0], plane.slope, time_unit)
 
     (condition,) = equations.conditions
     error = slope_error(problem, condition, Z[:, 0]) + 8 * EPS
     keys = plane.names[0], value, plane.names[1], other
-    return (plane.slope, *keys, angle, *rates, period, error)
+    return (plane.slope, *keys, *gait, error)

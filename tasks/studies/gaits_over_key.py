@@ -8,7 +8,6 @@ import numpy as np
 
 from gaitsweep.tasks.branches.curves import (
     across_last,
-    at_value,
     follow_both_directions,
 )
 from gaitsweep.tasks.branches.equations import Equations, correct_on_curve
@@ -22,6 +21,8 @@ from gaitsweep.tasks.walkers.walker import Walker
 #: Shares of a key's range at which gaits are searched for, from which curves over it
 #: begin.
 SURVEYED = (0.03, 0.25, 0.5, 0.75, 0.97)
+#: Share of a segment by which the point beside another may lie beyond its nodes.
+_AT_NODE = 0.05
 
 
 def gaits_over_key(gaits: Equations) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -42,17 +43,20 @@ def gaits_over_key(gaits: Equations) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     (scale,) = gaits.keys.scale
     (low,) = gaits.keys.low
     (high,) = gaits.keys.high
-    window = np.array([[low / scale, high / scale]])
+    ends = [low / scale, high / scale]
+    window = np.array([ends])
     across = across_last(gaits.size)
 
+    values = [low + share * (high - low) for share in SURVEYED]
+    walkers = [gaits.keys.walker_at(value) for value in values]
+    survey_together(walkers)
+
     followed: list[np.ndarray] = []
-    for share in SURVEYED:
-        value = low + share * (high - low)
-        walker = gaits.keys.walker_at(value)
+    for value, walker in zip(values, walkers, strict=True):
         for Z in _gaits_at(walker, gaits.log_slope):
             guess = np.append(Z[:-1], value / scale)[:, None]
             first = correct_on_curve(gaits, guess, across)
-            is_new = first.ok[0] and not _is_on(gaits, followed, first.Z[:, 0])
+            is_new = first.ok[0] and not is_on(gaits, followed, first.Z[:, 0])
             if not is_new:
                 continue
             points, tangents, _ = follow_both_directions(gaits, first, window)
@@ -78,10 +82,27 @@ def _gaits_at(walker: Walker, log_slope: float) -> Iterator[np.ndarray]:
             yield Z[:, 0]
 
 
-def _is_on(equations: Equations, curves: Sequence[np.ndarray], X: np.ndarray) -> bool:
-    """Whether a point (u,) lies on one of some curves (p, u) of equations."""
-    for points in curves:
-        passed = at_value(equations, points, X[-1])
-        if any(same(X, Y, SAME_POINT) for Y in passed):
+def is_on(equations: Equations, curves: Sequence[np.ndarray], X: np.ndarray) -> bool:
+    """Return whether a point (u,) lies on one of some curves (p, u) of equations: a
+    curve's own point beside it, between its nearest node and a neighbour, is the same.
+    """
+    return any(_is_on(equations, points, X) for points in curves)
+
+
+def _is_on(equations: Equations, points: np.ndarray, X: np.ndarray) -> bool:
+    """Whether a point (u,) lies on a curve (p, u)."""
+    nearest = int(np.linalg.norm(points - X, axis=1).argmin())
+    for k in (nearest - 1, nearest):
+        if not 0 <= k < len(points) - 1:
+            continue
+        chord = points[k + 1] - points[k]
+        off = X - points[k]
+        share = float(off @ chord / (chord @ chord))
+        if not -_AT_NODE <= share <= 1 + _AT_NODE:
+            continue
+        guess = points[k] + share * chord
+        beside = correct_on_curve(equations, guess[:, None], chord[:, None])
+        is_corrected = bool(beside.ok[0])
+        if is_corrected and same(beside.Z[:, 0], X, SAME_POINT):
             return True
     return False

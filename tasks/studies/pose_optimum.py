@@ -31,8 +31,7 @@ from gaitsweep.tasks.measures.programme import (
 )
 from gaitsweep.tasks.mechanics.arrays import Coordinates
 from gaitsweep.tasks.step.problem import Lanes
-from gaitsweep.tasks.studies.check_optimum import walker_over
-from gaitsweep.tasks.walkers.resolve import resolve_many, value_of_key
+from gaitsweep.tasks.walkers.resolve import resolve_many, value_of_key, walkers_over
 from gaitsweep.tasks.walkers.walker import Walker
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
@@ -61,7 +60,7 @@ class Box:
 
     def walker_at(self, *values: float) -> Walker:
         """The walker at values of the keys."""
-        return walker_over(self.line, self.free, values)
+        return walkers_over(self.line, *self.free)(*values)
 
     def walkers_at(self, values: ndarray) -> WalkerArray:
         """The walkers at values of the keys (k, n)."""

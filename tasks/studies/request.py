@@ -37,6 +37,12 @@ class Request:
         """Whether gaits may be those of a walker that differs in its units."""
         return is_converted(self.wanted.names, self.wanted.accuracy)
 
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What tells requests apart."""
+        kind = repr(self.wanted), self.steps, self.interpolated
+        return self.slope.tobytes(), *kind
+
     @classmethod
     def of(cls, params: Mapping[str, Any]) -> Request:
         """Return what the parameters of a task ask for, as

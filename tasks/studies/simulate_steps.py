@@ -33,7 +33,7 @@ from gaitsweep.tasks.step.simulate import (
     STRUCK,
     scanner,
 )
-from gaitsweep.tasks.step.stance import ON_GROUND, foot_height, tilt
+from gaitsweep.tasks.step.stance import ON_GROUND, between_feet, ground_under
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
@@ -266,8 +266,9 @@ def _begin_within(problem: Lanes, slope: np.ndarray, state: np.ndarray) -> Start
             "state", f"{shank - thigh:g} rad", "must not overextend the knee"
         )
 
-    height = foot_height(walker, stance, thigh, shank)
-    ground = float(slope[0] - tilt(stance, thigh))
+    way = between_feet(walker, stance, thigh, shank)
+    height = float(way.imag)
+    ground = float(slope[0] - ground_under(way))
     if height < 0:
         raise WalkerError(
             "state",

@@ -28,7 +28,7 @@ from gaitsweep.tasks.measures.gaits import (
     store,
     to_accuracy,
 )
-from gaitsweep.tasks.measures.levels import measures
+from gaitsweep.tasks.measures.names import check_measure
 from gaitsweep.tasks.measures.passed import Curve, Passed, Sampled
 from gaitsweep.tasks.measures.sensitivities import KeyOfWalker
 from gaitsweep.tasks.step.lanes import lanes_of, slices
@@ -228,10 +228,7 @@ def _target(
 ) -> _Target:
     """What is asked for of a line's gaits, checked."""
     measure, values = str(asked["measure"]), np.asarray(asked["values"], float)
-    names = measures(walker)
-    if measure not in names:
-        known = ", ".join(names)
-        raise WalkerError("at", measure, f"must be a measure of its gaits: {known}")
+    check_measure(measure, walker, "at")
     infinite = values[~np.isfinite(values)]
     if len(infinite):
         raise WalkerError("at", float(infinite[0]), "must be finite")
@@ -244,6 +241,9 @@ def _target(
     low, high = map(float, between)
     if not low < high:
         raise WalkerError("between", (low, high), "must rise")
+    if vary != SLOPE:
+        for end in (low, high):
+            walkers_over(line, vary)(end)
     return _Target(
         measure=measure,
         values=values,

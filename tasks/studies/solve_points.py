@@ -63,6 +63,10 @@ PROOF_ACCURACY = 1e-12
 #: before changes no bit.
 _surveyed: OrderedDict[tuple[str, float], list[Branch]] = OrderedDict()
 _MAX_SURVEYED = 128
+#: So are the latest points of lines that others differ from only in their units, which
+#: chunks of one study have in common.
+_solved: OrderedDict[tuple[Any, ...], tuple[list[Branch], Arrays]] = OrderedDict()
+_MAX_SOLVED = 16
 
 
 def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -301,8 +305,7 @@ def _solve_scaled(
         names.append(repr(without))
         plain.setdefault(names[-1], without)
 
-    found = solve_lines(list(plain.values()), request)
-    by_name = dict(zip(plain, found, strict=True))
+    by_name = _solve_plain(plain, request)
     solved = []
     for walker, name, own in zip(walkers, names, keys, strict=True):
         branches, points = by_name[name]
@@ -310,6 +313,26 @@ def _solve_scaled(
             points = _converted(points, walker, plain[name])
         solved.append((branches, points))
     return solved
+
+
+def _solve_plain(
+    lines: Mapping[str, Mapping[str, Any]], request: Request
+) -> dict[str, tuple[list[Branch], Arrays]]:
+    """Solve lines by name, reusing those solved before."""
+    keys = {name: (name, *request.key) for name in lines}
+    new = [name for name, key in keys.items() if key not in _solved]
+    found = {}
+    if new:
+        solved = solve_lines([lines[name] for name in new], request)
+        found = dict(zip(new, solved, strict=True))
+
+    for name, key in keys.items():
+        if name not in found:
+            found[name] = _solved[key]
+        _solved[key] = found[name]
+    while len(_solved) > _MAX_SOLVED:
+        _solved.popitem(last=False)
+    return found
 
 
 def _converted(points: Arrays, walker: Walker, line: Mapping[str, Any]) -> Arrays:

@@ -8,7 +8,7 @@ the other leg), in which sense they grow, and the unit of rates.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from decimal import Context, Decimal
 from functools import cache
 from pathlib import Path
@@ -21,6 +21,8 @@ from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: Our coordinates, in their order.
 COORDINATES = ("stance_angle", "thigh_angle", "stance_rate", "thigh_rate")
+#: Those of the swing leg's shank, which conventions of straight legs do not have.
+KNEE = ("shank_angle", "shank_rate")
 #: The unit of rates.
 RATES = ("walker", "scaled")
 #: What is given of a gait, and the digits of what is converted by a number.
@@ -47,21 +49,24 @@ def columns(params: Mapping[str, Any]) -> dict[str, Any]:
     -------
     dict
         `columns`, list of str; `optional`, those of the swing leg's angle, without which
-        both feet are on the ground; `names` of all conventions.
+        both feet are on the ground, and of its shank, without which its knee is straight;
+        `names` of all conventions.
     """
     known = conventions()
     about = known.get(params["convention"], {})
-    found = _names(about)
+    found = _names(about, (*COORDINATES, *KNEE))
     needed = set(about.get("stance_angle", {})) | set(about.get("stance_rate", {}))
     needed |= set(about.get("thigh_rate", {}))
     optional = [name for name in found if name not in needed]
     return {"columns": found, "optional": optional, "names": list(known)}
 
 
-def _names(about: Mapping[str, Any]) -> list[str]:
+def _names(
+    about: Mapping[str, Any], coordinates: Sequence[str] = COORDINATES
+) -> list[str]:
     """Columns of a convention, in the order of our coordinates."""
     found = dict[str, None]()
-    for coordinate in COORDINATES:
+    for coordinate in coordinates:
         found |= dict.fromkeys(about.get(coordinate, {}))
     return [name for name in found if name != "slope"]
 
@@ -78,7 +83,7 @@ def to_ours(
     ----------
     convention : str
     table : mapping of ndarray, shape (n,)
-        Columns; angles in rad.
+        Columns; angles in rad. Sizes may have that of the slope.
     slope : ndarray, shape (n,) [rad]
     is_size : bool
         Add magnitudes, as sizes of errors add up.
@@ -90,7 +95,7 @@ def to_ours(
         stance angle, both feet on the ground, where no column gives it.
     """
     about = conventions()[convention]
-    with_slope = {**table, "slope": np.zeros_like(slope) if is_size else slope}
+    with_slope = {"slope": np.zeros_like(slope) if is_size else slope, **table}
     rows = np.zeros((len(COORDINATES), len(slope)))
     for row, coordinate in zip(rows, COORDINATES, strict=True):
         if all(name in with_slope for name in about[coordinate]):
@@ -98,6 +103,20 @@ def to_ours(
                 row += (abs(factor) if is_size else factor) * with_slope[name]
         else:
             row += rows[0] if is_size else -rows[0]
+    return rows
+
+
+def shank_of(convention: str, table: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the angle and rate of the swing leg's shank as they stand in a table,
+    shape (2, n); NaN where no column gives them.
+    """
+    about = conventions()[convention]
+    count = len(next(iter(table.values())))
+    rows = np.full((len(KNEE), count), np.nan)
+    for row, coordinate in zip(rows, KNEE, strict=True):
+        for name in about.get(coordinate, {}):
+            if name in table:
+                row[:] = table[name]
     return rows
 
 

@@ -290,11 +290,13 @@ def walker_of_line(line: Mapping[str, Any]) -> Walker:
     return resolve(line["walker"], line.get("set"))
 
 
-def walkers_over(line: Mapping[str, Any], key: str) -> Callable[[float], Walker]:
-    """Return a line's walkers as a function of the value of a key."""
+def walkers_over(line: Mapping[str, Any], *keys: str) -> Callable[..., Walker]:
+    """Return a line's walkers as a function of the values of keys."""
+    own = line.get("set") or {}
 
-    def walker_at(value: float) -> Walker:
-        return resolve(line["walker"], {**(line.get("set") or {}), key: value})
+    def walker_at(*values: float) -> Walker:
+        changes = dict(zip(keys, values, strict=True))
+        return resolve(line["walker"], {**own, **changes})
 
     return walker_at
 

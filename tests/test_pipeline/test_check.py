@@ -243,17 +243,165 @@ def test_gaits_of_knees_are_checked(compass):
     assert verdicts == ["gait", "reversed"]
 
 
-def test_a_bent_knee_is_answered_in_a_line():
+def _moving(walker, slope, state):
+    """A step at twenty times, in the columns of `check`, from its simulation."""
+    motion = gaitsweep.simulate(walker, slope, state, 1, motion=True, dt=0.04)
+    links = {"stance": "st", "thigh": "th", "shank": "sh"}
+    table = {}
+    for name, link in links.items():
+        table[f"{name}_angle"] = motion[f"theta_{link}"].values
+        table[f"{name}_rate"] = motion[f"rate_{link}"].values
+    return pd.DataFrame(table)
+
+
+@pytest.mark.parametrize("digits", [12, 5])
+def test_states_with_a_bent_knee_are_flown_to_the_end_of_their_step(digits):
+    table = _moving("physical", 0.036, gait_of("physical", 0.036)).round(digits)
+
+    checked = gaitsweep.check(table, "physical", 0.036)
+
+    is_bent = table["shank_angle"] < table["thigh_angle"] - 1e-4
+    assert is_bent.sum() > 8 and (~is_bent).sum() > 4
+    assert checked["is_gait"].all(), checked["reason"].tolist()
+    assert checked["flown"].tolist()[1:] == [True] * (len(table) - 1)
+
+
+@pytest.mark.thorough
+def test_a_changed_rate_of_a_bent_shank_is_no_gait():
+    table = _moving("physical", 0.036, gait_of("physical", 0.036)).iloc[[6]]
+
+    assert judged(table, "physical", 0.036)["is_gait"]
+    table.loc[:, "shank_rate"] *= 1.01
+    assert judged(table, "physical", 0.036)["verdict"] == "near"
+
+
+def test_a_bent_knee_puts_the_foot_above_or_below_the_ground():
+    """Where knee and foot are follows from the links' lengths alone."""
+    row = judged(
+        {
+            "stance_angle": 0.2,
+            "thigh_angle": -0.1,
+            "shank_angle": -0.15,
+            "stance_rate": -1.0,
+            "thigh_rate": 1.0,
+            "shank_rate": 1.0,
+        },
+        "physical",
+        0.036,
+    )
+
+    keys = {"l_t": 0.35, "l_s": 0.46, "R": 0.2, "eps_T": 0.097}
+    below_knee = keys["l_s"] - keys["R"]
+    turned = np.arcsin(keys["l_t"] * np.sin(keys["eps_T"]) / below_knee)
+    line = keys["l_t"] * np.cos(keys["eps_T"]) + below_knee * np.cos(turned)
+    thigh = keys["l_t"] * np.exp(1j * (-0.1 - keys["eps_T"] - np.pi / 2))
+    shank = below_knee * np.exp(1j * (-0.15 + turned - np.pi / 2))
+    swing, stance = thigh + shank, line * np.exp(1j * (0.2 - np.pi / 2))
+    way = swing - stance
+    assert row["verdict"] == "below_ground" and way.imag < 0
+    tilt = np.arctan(way.imag / way.real)
+    assert row["belongs_to_slope"] == pytest.approx(0.036 - tilt, abs=1e-12)
+
+
+def test_straight_knees_need_no_more_columns_and_bent_ones_a_rate():
     state = dict(zip(NAMES, gait_of("physical", 0.036), strict=True))
     straight = state | {"shank_angle": -state["stance_angle"]}
     assert judged(straight, "physical", 0.036)["verdict"] == "gait"
-    rounded = {name: np.round(value, 4) for name, value in straight.items()}
-    assert judged(rounded, "physical", 0.036)["verdict"] == "gait"
 
     bent = straight | {"shank_angle": -state["stance_angle"] - 0.1}
-    with pytest.raises(gaitsweep.StudyError, match="Row 1 has a bent knee") as caught:
+    with pytest.raises(gaitsweep.StudyError, match="`shank_rate` is needed"):
         gaitsweep.check(bent, "physical", 0.036)
-    assert "`simulate` flies others on" in str(caught.value)
+    absent = judged(bent | {"shank_rate": np.nan}, "physical", 0.036)
+    assert absent["verdict"] == "not_a_number"
+    with pytest.raises(gaitsweep.StudyError, match="a walker without knees"):
+        gaitsweep.check(bent | {"shank_rate": 0.0}, "D", 0.009)
+
+
+@pytest.mark.thorough
+def test_the_rate_that_heelstrike_gives_a_free_shank_is_compared():
+    names = [*NAMES, "shank_rate"]
+    found = gaitsweep.gaits("physical", 0.036, variables=names).sel(gait="long")
+    state = {name: float(found[name]) for name in names}
+
+    assert judged(state, "physical", 0.036)["verdict"] == "gait"
+    wrong = judged(state | {"shank_rate": state["thigh_rate"]}, "physical", 0.036)
+    assert wrong["verdict"] == "shank_rate"
+    assert f"gives it {state['shank_rate']:.6g}" in wrong["reason"]
+
+
+@pytest.mark.parametrize(
+    ("walker", "slope", "state"),
+    [
+        ("A", 0.03, [0.3378646946395741, -1.1317728430271727, -0.7748042835683868]),
+        pytest.param(
+            "physical",
+            0.03,
+            [0.23576086614515102, -0.8582486952489479, -0.25538266326346476],
+            marks=pytest.mark.thorough,
+        ),
+    ],
+)
+def test_gaits_whose_legs_pass_three_times_are_found_beside_the_branches(
+    walker, slope, state
+):
+    """The motion itself shows how often the legs pass, and that it repeats."""
+    motion = gaitsweep.simulate(walker, slope, state, 1, motion=True)
+    between = (motion["theta_th"] - motion["theta_st"]).values.ravel()
+    signs = np.sign(between[np.isfinite(between)])
+    assert np.count_nonzero(np.diff(signs)) == 3
+    after = [float(motion[name].values[1]) for name in NAMES]
+    np.testing.assert_allclose(after, state, rtol=1e-9)
+
+    row = judged([state], walker, slope)
+    changed = judged([np.array(state) * [1 + 1e-5, 1, 1]], walker, slope)
+
+    assert (row["verdict"], row["gait"]) == ("gait", "passes_3_times")
+    assert row["distance"] < 1e-11 and not row["stable"]
+    assert (changed["verdict"], changed["gait"]) == ("near", "passes_3_times")
+    assert changed["distance"] == pytest.approx(1e-5, rel=1e-3)
+
+
+def _rounded(values, digits):
+    return [float(f"{value:.{digits - 1}e}") for value in values]
+
+
+@pytest.mark.parametrize("walker", ["A", pytest.param("C", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("digits", [4, 6])
+def test_tables_of_few_digits_are_gaits_to_these_with_their_slopes_rounded(
+    walker, digits
+):
+    slope = np.geomspace(0.002, 0.03, 12)
+    found = gaitsweep.gaits(walker, slope, variables=list(NAMES)).sel(gait="long")
+    states = {name: found[name].values for name in NAMES} | {"slope": slope}
+    decimals = {name: np.round(column, digits) for name, column in states.items()}
+    as_many = {name: _rounded(column, digits) for name, column in states.items()}
+
+    for table in (decimals, as_many):
+        checked = gaitsweep.check(table, walker)
+        assert checked["is_gait"].all(), checked["reason"].tolist()
+    with_slope = gaitsweep.check(decimals | {"slope": slope}, walker)
+    assert with_slope["is_gait"].all()
+    said = f"A gait, to the {digits} digits given."
+    assert said in with_slope["reason"].tolist()
+
+
+def test_the_slope_of_a_neighbour_is_no_rounding():
+    slope = np.round(np.linspace(0.01, 0.02, 11), 3)
+    found = gaitsweep.gaits("D", slope, variables=list(NAMES)).sel(gait="long")
+    states = {name: np.round(found[name].values, 4) for name in NAMES}
+    shifted = {**states, "slope": np.roll(slope, 1)}
+
+    assert set(gaitsweep.check(shifted, "D")["verdict"]) == {"slope"}
+
+
+def test_a_column_that_names_several_walkers_is_refused(tmp_path):
+    state = dict(zip(NAMES, gait_of("D", 0.009), strict=True))
+    twice = {name: [value, value] for name, value in state.items()}
+
+    one = gaitsweep.check({**twice, "walker": ["D", "D"]}, "D", 0.009)
+    assert one["is_gait"].all()
+    with pytest.raises(gaitsweep.StudyError, match="`walker` must name one walker"):
+        gaitsweep.check({**twice, "walker": ["D", "A"]}, "D", 0.009)
 
 
 def feet(stance, swing):

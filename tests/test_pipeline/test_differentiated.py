@@ -76,3 +76,4 @@ def test_keys_are_ranked_on_the_page(archive, tmp_path):
     page = gaitsweep.report(archive, tmp_path)
     text = page.read_text(encoding="utf-8")
     assert "Most of all on w_t: " in text and "for 0.5 mm in w_t." in text
+    assert "measures of the long and short gaits of C change" in text

@@ -30,7 +30,7 @@ def study(options, walker="A", axes=None, **more):
         ),
         (
             study({**FASTEST, "minimise": "slope"}),
-            "An optimum needs either `minimise` or `maximise` (options).",
+            "An optimum needs either `minimise` or `maximise`, not both (options).",
         ),
         (
             study({"maximise": "speed"}),
@@ -67,6 +67,10 @@ def study(options, walker="A", axes=None, **more):
         (
             study({**FASTEST, "free": {"detuning": [0, 1], "w_t": [-0.1, 0.1]}}),
             "`w_t` is set by `detuning`, which owns ",
+        ),
+        (
+            study({**FASTEST, "free": {"g": [5.0, 10.0]}}),
+            "`free` must hold keys that change more than units; got g (options.free).",
         ),
         (
             study({**FASTEST, "within": {"speed": [0.4, 0.3]}}),

@@ -650,5 +650,5 @@ def test_levels_of_what_is_no_measure_of_the_walker_are_refused():
     params |= {"key": "R", "from": 0.1, "to": 0.3, "kinds": []}
     params |= {"levels": {"kneestrike_time": 1.0}}
 
-    with pytest.raises(WalkerError, match="`levels` must be measures of its gaits"):
+    with pytest.raises(WalkerError, match="`levels` must be a measure of its gaits"):
         curve(params, [_atlas("B", ())])

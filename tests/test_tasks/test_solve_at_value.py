@@ -101,6 +101,10 @@ def test_a_value_that_no_gait_has_is_told_with_what_there_is():
         ({"value": np.inf}, "`at` must be finite; got inf."),
         ({"between": (0.2, 0.1)}, "`between` must rise; got (0.2, 0.1)."),
         (
+            {"vary": "l_t", "between": (-0.1, 1.0), "slope": 0.1},
+            "`l_t` must be > 0; got -0.1.",
+        ),
+        (
             {"vary": "R", "set": {"R": 0.2}, "between": (0.1, 0.3), "slope": 0.1},
             "`R` is varied and cannot be set too; got 0.2.",
         ),

@@ -10,13 +10,17 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import INK
+from gaitsweep.pipeline.report.figures.style import INK, inks
 from gaitsweep.pipeline.report.source import Source
 
 #: End of the names of derivatives.
 _BY_KEY = "_by_key"
 #: Measures that are drawn, in the order of the panels.
 _MEASURES = ("speed", "stance_angle", "period")
+#: Labels whose gaits are drawn, of the first walkers, and their distance in a row.
+_GAITS = ("long", "short")
+_MOST_WALKERS = 3
+_APART = 0.2
 #: Tolerances: of lengths over the leg, or in metres where they are in SI; of angles
 #: [rad]; of masses and of gravity, over their values.
 _OF_LEG, _IN_SI, _OF_ANGLE, _OF_VALUE = 5e-4, 5e-4, 5e-4, 0.01
@@ -66,22 +70,25 @@ def sensitivities(source: Source) -> Sketch | None:
     """Plot by how much the tolerance of each key changes measures of gaits."""
     if not source.walkers:
         return None
-    name, table = next(iter(source.walkers.items()))
     # Other pages load no module that knows keys.
     from gaitsweep.pipeline.study import units
 
-    tolerances = _Tolerances(table, units.kinds())
-    grid = source.grid.isel(walker=0) if "walker" in source.grid.dims else source.grid
-    data = pd.DataFrame(_changes(grid, tolerances))
+    kinds = units.kinds()
+    each = {
+        name: _Tolerances(table, kinds)
+        for name, table in list(source.walkers.items())[:_MOST_WALKERS]
+    }
+    data = pd.DataFrame(_of_walkers(source.grid, each))
     if data.empty:
         return None
 
     first = data[data["measure"] == data["measure"].iloc[0]]
-    ranked = first.sort_values("median", ascending=False)["key"].tolist()
-    data["row"] = [-ranked.index(key) for key in data["key"]]
-    sketch = _drawn(data, ranked)
+    ranked = _ranked(first)
+    series = data[["walker", "gait"]].drop_duplicates().to_records(index=False)
+    sketch = _drawn(data, ranked, [(str(a), str(b)) for a, b in series])
 
     greatest = first.loc[first["median"].idxmax()]
+    tolerances = each[str(greatest["walker"])]
     measures = _words(data["measure"].unique().tolist())
     headings = dict(zip(("first", "second", "third"), measures, strict=False))
     return sketch.finish(
@@ -91,22 +98,62 @@ def sensitivities(source: Source) -> Sketch | None:
         change=float(greatest["median"]),
         of=measures[0],
         tolerance=tolerances.words(str(greatest["key"])),
-        gait=str(greatest["gait"]),
-        walker=name,
-        length=tolerances.length_words,
+        gait=" and ".join(data["gait"].unique()),
+        walker=", ".join(data["walker"].unique()),
+        length=", ".join(dict.fromkeys(one.length_words for one in each.values())),
         angle=_OF_ANGLE,
     )
 
 
-def _drawn(data: pd.DataFrame, ranked: list[str]) -> Sketch:
-    """The figure, a panel for each measure, with keys as they are ranked."""
+def _of_walkers(
+    grid: xr.Dataset, each: Mapping[str, _Tolerances]
+) -> Iterator[dict[str, Any]]:
+    """Changes of all walkers, by their tolerances."""
+    for number, (name, tolerances) in enumerate(each.items()):
+        own = grid.isel(walker=number) if "walker" in grid.dims else grid
+        for change in _changes(own, tolerances):
+            yield {"walker": name, **change}
+
+
+def _ranked(changes: pd.DataFrame) -> list[str]:
+    """Keys by the largest of their median changes."""
+    greatest = changes.groupby("key", sort=False)["median"].max()
+    return [str(key) for key in greatest.sort_values(ascending=False).index]
+
+
+def _drawn(
+    data: pd.DataFrame, ranked: list[str], series: list[tuple[str, str]]
+) -> Sketch:
+    """The figure, a panel for each measure, with keys as they are ranked, and the gaits
+    of a label and walker below one another.
+    """
     measures = data["measure"].unique().tolist()
-    height = 70 + 16 * len(ranked)
+    height = 70 + (12 + 4 * len(series)) * len(ranked)
     sketch = Sketch("sensitivities", height, 1, len(measures), sharey=True)
-    for axes, measure in zip(sketch.panels, measures, strict=True):
-        _draw(sketch, axes, data[data["measure"] == measure], measure)
+
+    data["row"] = [-float(ranked.index(key)) for key in data["key"]]
+    colours = _colours([walker for walker, _ in series])
+    for number, (walker, gait) in enumerate(series):
+        ink = colours[walker]
+        face = ink if gait == "long" else "none"
+        is_own = (data["walker"] == walker) & (data["gait"] == gait)
+        data.loc[is_own, "row"] -= _APART * (number - 0.5 * (len(series) - 1))
+
+        for axes, measure in zip(sketch.panels, measures, strict=True):
+            some = data[is_own & (data["measure"] == measure)]
+            _draw(sketch, axes, some, measure, ink, face)
+        sketch.dot_key(f"{walker}, {gait}", ink, mfc=face, ms=4.5)
+
     sketch.panels[0].set_yticks([-k for k in range(len(ranked))], ranked)
     return sketch
+
+
+def _colours(walkers: list[str]) -> dict[str, str]:
+    """The colour of each walker; of one alone that of words."""
+    names = list(dict.fromkeys(walkers))
+    if len(names) == 1:
+        return {names[0]: INK}
+    return dict(zip(names, inks(names), strict=True))
 
 
 def _words(measures: list[str]) -> list[str]:
@@ -119,10 +166,9 @@ def _changes(grid: xr.Dataset, tolerances: _Tolerances) -> Iterator[dict[str, An
     least, the median and the largest over the gaits of a label.
     """
     held = [name for name in _MEASURES if f"{name}{_BY_KEY}" in grid and name in grid]
-    for gait in grid["gait"].values.astype(str).tolist() if held else ():
+    gaits = grid["gait"].values.astype(str).tolist() if held else []
+    for gait in filter(_GAITS.__contains__, gaits):
         there = grid.sel(gait=gait)
-        if not np.isfinite(there[held[0]].values).any():
-            continue
         for name in held:
             for key in there["key"].values.astype(str).tolist():
                 rate = there[f"{name}{_BY_KEY}"].sel(key=key).values
@@ -137,14 +183,17 @@ def _changes(grid: xr.Dataset, tolerances: _Tolerances) -> Iterator[dict[str, An
                         "median": np.median(change),
                         "largest": change.max(),
                     }
-        return
 
 
-def _draw(sketch: Sketch, axes: Axes, data: pd.DataFrame, measure: str) -> None:
+def _draw(
+    sketch: Sketch, axes: Axes, data: pd.DataFrame, measure: str, ink: str, face: str
+) -> None:
     """Draw the changes of one measure."""
+    if data.empty:
+        return
     axes.set_xscale("log")
-    axes.hlines(data["row"], data["least"], data["largest"], color=INK, lw=1)
-    axes.plot(data["median"], data["row"], "o", color=INK, ms=4.5)
+    axes.hlines(data["row"], data["least"], data["largest"], color=ink, lw=1)
+    axes.plot(data["median"], data["row"], "o", color=ink, mfc=face, ms=4.5)
     tips = {"key": "key", "median": "change (%)", "largest": "at most (%)"}
     (words,) = _words([measure])
     sketch.mark(axes, data, words, tips=tips, x="median", y="row")
