@@ -243,10 +243,12 @@ def _can_be(base: Study, slope: np.ndarray) -> np.ndarray:
 def _check(base: Study, line: dict[str, Any], slope: np.ndarray) -> dict[str, Any]:
     """What `tasks` reports of the walker of a line, with the keys that are varied."""
     if "slope" in line:
-        slopes.check(line["slope"])
+        slopes.check(line["slope"], may_be_level=True)
     name = "check_target" if base.at else "check_walker"
     asked = {**line, **base.at, "values": slope}
     check: dict[str, Any] = dispatch.ask(name, asked)
+    if slopes.is_level(line.get("slope", 1.0)) and "drive" not in check["features"]:
+        slopes.refuse_level(line["slope"])
     return check
 
 

@@ -206,11 +206,10 @@ def _level_ground_needs_a_drive(study: Study, top: Location) -> Iterator[StudyEr
     if not level:
         return
     place = top.at("axes", "slope")
-    if study.kind != "grid" or study.at:
-        what = "at values of a measure" if study.at else f"of kind `{study.kind}`"
+    if study.kind != "grid":
         yield place.error(
-            f"`slope` {slopes.BOUND} in studies {what}; got {level[0]:g}: on level ground "
-            "and uphill grids of driven walkers have gaits"
+            f"`slope` {slopes.BOUND} in studies of kind `{study.kind}`; got "
+            f"{level[0]:g}: on level ground and uphill grids of driven walkers have gaits"
         )
     elif "drive" not in study.features:
         yield place.error(
