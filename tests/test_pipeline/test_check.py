@@ -634,7 +634,8 @@ def test_the_ground_is_told_on_which_a_driven_walker_is_a_gait():
     """Down, and level, with slopes of both kinds in one table."""
     keys = {"push_off": 0.1}
     level, down = (gait_of("B", slope, **keys) for slope in (0.0, 0.02))
-    table = {name: [*pair] for name, pair in zip(NAMES, zip(level, down), strict=True)}
+    pairs = zip(level, down, strict=True)
+    table = {name: [*pair] for name, pair in zip(NAMES, pairs, strict=True)}
     right = gaitsweep.check({**table, "slope": [0.0, 0.02]}, "B", **keys)
     assert right["is_gait"].all()
     wrong = gaitsweep.check({**table, "slope": [0.02, 0.0]}, "B", **keys)
