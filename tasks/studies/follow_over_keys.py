@@ -124,7 +124,8 @@ class _Plane:
         """
         surveyed = itertools.product(SURVEYED, SURVEYED)
         ends = [(self.value(0, a), self.value(1, b)) for a, b in surveyed]
-        survey_together([self.walker_at(*each) for each in ends])
+        if self.slope > 0:
+            survey_together([self.walker_at(*each) for each in ends])
         for number in (0, 1):
             scale = self.keys.scale[1 - number]
             for share in SURVEYED:
@@ -268,7 +269,8 @@ def _rows(
 
 def _place(plane: _Plane, equations: Equations, X: np.ndarray) -> tuple[Any, ...]:
     """Slope, both keys with their values, state at the start of the step and period of
-    a point, in the walker's units, and a bound on the relative error of the slope.
+    a point, in the walker's units, and a bound on the relative error of the slope; of
+    the slope itself on level ground.
     """
     value, other = plane.keys.values(X[-2:, None])[:, 0].tolist()
     time_unit = plane.walker_at(value, other).time_unit
@@ -276,7 +278,7 @@ def _place(plane: _Plane, equations: Equations, X: np.ndarray) -> tuple[Any, ...
     Z, _ = equations.split(X[:, None])
 
     y, scale = problem.section(Z[:-1])
-    state = problem.start(y * scale, np.array([plane.slope]))[:, 0]
+    state = problem.start(y * scale, np.exp(Z[-1]))[:, 0]
     angle, *rates = state.tolist()
     rates = [rate / time_unit for rate in rates]
     period = float(Z[-2, 0]) * time_unit

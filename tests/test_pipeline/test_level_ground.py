@@ -180,6 +180,18 @@ def test_measurements_on_level_ground_have_residuals(tmp_path):
     assert reason[3].startswith("`slope` must lie in [1e-18, 0.5) rad, or in (-0.5, 0]")
 
 
+def test_a_study_of_curves_over_the_push_off_is_read(tmp_path):
+    """It is refused without a key that drives."""
+    path = tmp_path / "s.toml"
+    text = 'name = "s"\nkind = "curve"\nwalker = "D"\n[axes]\nslope = [0.0]\n'
+    plane = "[options]\nplane = { push_off = [0.1, 0.2], R = [0.0, 0.2] }\n"
+    path.write_text(text + plane)
+    assert [*read(path).options["plane"]["push_off"]] == [0.1, 0.2]
+    path.write_text(text + plane.replace("push_off", "m_h"))
+    with pytest.raises(StudyError, match="for passive walkers; got 0"):
+        read(path)
+
+
 def test_a_study_of_branches_has_no_level_ground(tmp_path):
     path = tmp_path / "s.toml"
     text = 'name = "s"\nkind = "branch"\n[walker]\nbase = "B"\npush_off = 0.1\n'

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks.branches.conditions import Condition
+from gaitsweep.tasks.studies.follow_curves import curve
 from gaitsweep.tasks.studies.follow_over_keys import curves_over_keys
+from gaitsweep.tasks.studies.solve_at_slope import solve_one
 
 LINE = {"walker": "A", "set": {}}
 RANGES = {"R": (0.1, 0.3), "m_h": (0.0, 2.0)}
@@ -69,3 +71,25 @@ def test_components_that_lie_apart_are_found():
         m_h = found["curves/other_value"][own]
         middles.append((m_h.min() + m_h.max()) / 2)
     assert sorted(middles) == pytest.approx([0.8, 0.8, 1.2, 1.2], abs=0.02)
+
+
+@pytest.mark.thorough
+def test_flips_on_level_ground_are_followed_over_the_push_off_and_a_key():
+    """Between their points single gaits of the walker have the multiplier -1."""
+    plane = {"push_off": [0.1, 0.2], "R": [0.0, 0.2]}
+    line = {"walker": "D", "set": {}}
+    asked = {"line": line, "slope": np.array([0.0]), "plane": plane, "kinds": ["flip"]}
+    found = {
+        name.removeprefix("curves/"): values
+        for name, values in curve(asked, [{}]).items()
+    }
+    assert len(found["kind"]) > 5 and set(found["slope"]) == {0.0}
+    assert (found["walks"] == 1).all() and (found["error_bound"] < 1e-13).all()
+    for k in (0, len(found["kind"]) // 2, -1):
+        keys = {"push_off": found["value"][k], "R": found["other_value"][k]}
+        asked = {"walker": "D", "slope": 0.0, "set": keys}
+        (gait,) = (g for g in solve_one(asked)["gaits"] if g["gait"] == "long")
+        assert gait["multipliers"][0][0] == pytest.approx(-1, abs=1e-11)
+        assert gait["stance_angle"] == pytest.approx(
+            found["stance_angle"][k], rel=1e-12
+        )
