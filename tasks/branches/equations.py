@@ -278,6 +278,14 @@ class Equations:
         some.problem = self.problem.some(lanes)
         return some
 
+    def over(self, drive: Drive) -> Equations:
+        """Return the equations of the same gaits, with slopes counted as a drive has
+        them.
+        """
+        other = copy.copy(self)
+        other.problem = self.problem.over(drive)
+        return other
+
     def having(self, conditions: Sequence[Condition]) -> Equations:
         """Return the equations of the same gaits with other conditions."""
         other = copy.copy(self)

@@ -344,12 +344,8 @@ def _described_by_drive(
     limits: Mapping[str, float] | None,
 ) -> Arrays:
     """Variables of gaits as `describe` has them, of a walker at values of its drive."""
-    values, group = np.unique(drive, return_inverse=True)
     parts, places = [], []
-    for number, value in enumerate(values.tolist()):
-        some = np.flatnonzero(group == number)
-        slope = problem.slopes(drive[some])
-        driven = problem.driven_by(value)
+    for some, driven, slope in problem.at_slopes(drive):
         parts.append(describe(driven, lanes_of(at, some), slope, want, limits))
         places.append(some)
 

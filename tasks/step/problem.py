@@ -5,13 +5,19 @@ for each.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
 
 from gaitsweep.tasks.mechanics.lumped import Structure, constants_of
-from gaitsweep.tasks.step.drive import OVER_SLOPE, SLOPE, Drive, unit_of_impulse
+from gaitsweep.tasks.step.drive import (
+    OVER_SLOPE,
+    SLOPE,
+    Drive,
+    over_slopes,
+    unit_of_impulse,
+)
 from gaitsweep.tasks.step.several_steps import AnyStride, StepSequence
 from gaitsweep.tasks.step.step_map import StrideMap, stride_map
 from gaitsweep.tasks.walkers.walker import Walker
@@ -84,6 +90,21 @@ class Problem:
         other.walker, _ = self.drive.at(self.walker, drive)
         other.constants = constants_of(WalkerArray.of([other.walker]), self.structure)
         return other
+
+    def at_slopes(
+        self, drive: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, Problem, np.ndarray]]:
+        """Yield the problems over slopes of the walkers that values of the drive make:
+        which of the values (n,) each is of, and their slopes as it counts them.
+        """
+        if self.drive.key == SLOPE:
+            yield np.arange(len(drive)), self, drive
+            return
+        for value in np.unique(drive).tolist():
+            numbers = np.flatnonzero(drive == value)
+            over, counted = over_slopes(float(self.slopes(drive[numbers[:1]])[0]))
+            walker = self.driven_by(value)
+            yield numbers, walker.over(over), np.full(len(numbers), counted)
 
     def over(self: AnyProblem, drive: Drive) -> AnyProblem:
         """Return the same walkers' problem, with slopes counted as a drive has them."""
