@@ -248,7 +248,7 @@ def _check(base: Study, line: dict[str, Any], slope: np.ndarray) -> dict[str, An
     asked = {**line, **base.at, "values": slope}
     check: dict[str, Any] = dispatch.ask(name, asked)
     if slopes.is_level(line.get("slope", 1.0)) and "drive" not in check["features"]:
-        slopes.refuse_level(line["slope"])
+        raise slopes.undriven(line["slope"])
     return check
 
 
@@ -263,11 +263,18 @@ def _wrong_slopes(
         is_wrong[at] = False
     wrong = np.flatnonzero(is_wrong)
     values, which = np.unique(slope[wrong], return_inverse=True)
-    bound = "must be finite" if base.at else slopes.BOUND
     return [
-        (wrong[which == k], StudyError(f"`{base.along}` {bound}; got {value!r}."))
+        (wrong[which == k], _refused(base, value))
         for k, value in enumerate(values.tolist())
     ]
+
+
+def _refused(base: Study, value: float) -> StudyError:
+    """Why a slope, or a value of a measure, cannot be asked for."""
+    if not base.at and slopes.is_level(value):
+        return slopes.undriven(value)
+    bound = "must be finite" if base.at else slopes.BOUND
+    return StudyError(f"`{base.along}` {bound}; got {value!r}.")
 
 
 def _in_order(

@@ -168,7 +168,7 @@ def check_driven(walker: Definition, keys: Mapping[str, Any], slope: float) -> N
 def _refuse_undriven(checked: Mapping[str, Any], slope: float) -> None:
     """Refuse a level slope of a walker that was checked, if nothing drives it."""
     if "drive" not in checked["features"]:
-        slopes.refuse_level(slope)
+        raise slopes.undriven(slope)
 
 
 def _rising(between: Sequence[float], place: Location) -> tuple[float, float]:

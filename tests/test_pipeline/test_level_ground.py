@@ -66,6 +66,11 @@ def test_a_page_of_level_ground_draws_and_starts_its_gaits(level, tmp_path):
     assert len(lines[0]["keys"]["violation_limits"]) == 10
 
 
+def test_arrays_of_what_nothing_drives_say_what_would():
+    (said,) = set(gaits("D", [0.0])["reason_text"].values.astype(str))
+    assert "a walker needs a `push_off` or a `hip_torque`" in said
+
+
 def test_arrays_of_level_ground_are_the_studys():
     found = gaits("B", 0.0, push_off=[0.05, 0.1], variables=["stance_angle"])
     single = [solve("B", 0.0, push_off=push)["stance_angle"][0] for push in (0.05, 0.1)]
