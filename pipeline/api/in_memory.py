@@ -153,6 +153,8 @@ def gaits(
     if len(slope) and not any(len(line.at) for line in lines):
         if unsolvable or base.at:
             raise [*unsolvable, *wrong][0][1]
+        if slopes.is_level(slope[0]):
+            raise slopes.undriven(float(slope[0]))
         slopes.check(float(slope[0]))
     unsolvable += _wrong_slopes(base, slope, [line.at for line in lines])
 

@@ -67,8 +67,11 @@ def test_a_page_of_level_ground_draws_and_starts_its_gaits(level, tmp_path):
 
 
 def test_arrays_of_what_nothing_drives_say_what_would():
-    (said,) = set(gaits("D", [0.0])["reason_text"].values.astype(str))
+    found = gaits("D", [0.0, 0.01], variables=["period"])
+    said = found["reason_text"].values.astype(str)[int(found["reason"][0, 0])]
     assert "a walker needs a `push_off` or a `hip_torque`" in said
+    with pytest.raises(StudyError, match="a walker needs a `push_off` or a `hip_torq"):
+        gaits("D", 0.0)
 
 
 def test_arrays_of_level_ground_are_the_studys():
