@@ -69,15 +69,15 @@ def sensitivities(
     definition, values = broadcast.definition(walker), broadcast.changes(changes)
     given, settings = led(definition, values)
     (grid,) = broadcast.broadcast({"slope": slope})[1]
+    changed, each = files.changed(given, tuned=tuned), _slopes(grid)
+    check_driven(changed, settings, float(each.min(initial=np.inf)))
     asked = {
-        "walker": files.changed(given, tuned=tuned),
+        "walker": changed,
         "set": settings,
-        "slope": _slopes(grid),
+        "slope": each,
         "keys": None if keys is None else list(keys),
         "measures": None if variables is None else list(variables),
     }
-    lowest = float(asked["slope"].min(initial=np.inf))
-    check_driven(asked["walker"], settings, lowest)
     return _dataset(ask("differentiate", asked), grid)
 
 

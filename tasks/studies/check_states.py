@@ -220,6 +220,14 @@ class _Grounds:
         return found
 
 
+def _general(walker: Walker, n: int) -> Lanes:
+    """The step map with three coordinates in n lanes, of point feet as of other straight
+    legs.
+    """
+    one = Lanes([walker], general_structure_of(walker))
+    return one.some(np.zeros(n, int))
+
+
 @dataclass
 class _Case:
     """States, the walker's gaits, and what is said so far."""
@@ -245,9 +253,7 @@ class _Case:
         self.steps = np.ones(n, int)
         self.label = np.full(n, "", dtype=object)
         self.nearest, self.candidates = Gaits.none(n), list[Gaits]()
-        # With three coordinates, those of point feet as of other straight legs.
-        one = Lanes([self.walker], general_structure_of(self.walker))
-        self.general = one.some(np.zeros(n, int))
+        self.general = _general(self.walker, n)
 
     @property
     def open(self) -> np.ndarray:

@@ -5,6 +5,7 @@ keys, for `gaitsweep.sensitivities`.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,12 @@ from gaitsweep.tasks.gaits.labels import places
 from gaitsweep.tasks.gaits.polish import settle, unmeasured
 from gaitsweep.tasks.gaits.step_check import gait_ratio
 from gaitsweep.tasks.measures.levels import measures, measures_at
-from gaitsweep.tasks.measures.sensitivities import SLOPE, KeyOfWalker, at_gaits
+from gaitsweep.tasks.measures.sensitivities import (
+    SLOPE,
+    KeyOfWalker,
+    Measured,
+    at_gaits,
+)
 from gaitsweep.tasks.step.drive import over_slopes
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.studies.solve_driven import branches_of, driven
@@ -40,6 +46,8 @@ from gaitsweep.tasks.walkers.walker import (
 #: Keys that legs of one and of two links share; keys that move several others.
 _COMMON = ("R", "m_h", "g")
 _DERIVED = ("detuning", "foot_mass_ratio")
+#: Slope and label of gaits.
+_Place = tuple[np.ndarray, np.ndarray]
 
 
 def differentiate(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -72,28 +80,48 @@ def differentiate(params: Mapping[str, Any]) -> dict[str, Any]:
     slope = np.asarray(params["slope"], float)
 
     by = [SLOPE, *(key.name for key in keys)]
-    values = {name: np.full((len(slope), len(GAITS)), np.nan) for name in names}
-    shape = len(slope), len(GAITS), len(by)
-    derivatives = {name: np.full(shape, np.nan) for name in names}
-    absent: dict[str, str] = {}
+    found = _ByLabels.none(len(slope), names, by)
     for problem, Z, place in _grounds(walker, slope):
-        there = measures_at(names, Equations(problem).evaluate(Z))
-        by_keys, why = at_gaits(problem, Z, keys, names)
-        absent |= why
-        for name in names:
-            values[name][place] = there[name]
-            for column, key in enumerate(by):
-                if key in by_keys:
-                    derivatives[name][(*place, column)] = by_keys[key][name]
+        values = measures_at(names, Equations(problem).evaluate(Z))
+        derivatives, absent = at_gaits(problem, Z, keys, names)
+        found.put(place, values, derivatives)
+        found.absent.update(absent)
 
     return {
-        "keys": by,
-        "absent": absent,
-        "values": values,
-        "derivatives": derivatives,
+        **vars(found),
         "units": {name: VARIABLES[name].units(walker.si) for name in names},
         "si": walker.si,
     }
+
+
+@dataclass(frozen=True)
+class _ByLabels:
+    """Measures and their derivatives, laid out by slope and label, and by the names of
+    keys; and why there are none by some.
+    """
+
+    keys: list[str]
+    values: dict[str, np.ndarray]
+    derivatives: dict[str, np.ndarray]
+    absent: dict[str, str]
+
+    @classmethod
+    def none(cls, slopes: int, names: Sequence[str], keys: list[str]) -> _ByLabels:
+        """Return so many slopes without a gait."""
+        shape = slopes, len(GAITS)
+        values = {name: np.full(shape, np.nan) for name in names}
+        by = {name: np.full((*shape, len(keys)), np.nan) for name in names}
+        return cls(keys, values, by, {})
+
+    def put(
+        self, place: _Place, values: Measured, derivatives: Mapping[str, Measured]
+    ) -> None:
+        """Lay out those of gaits, of which the slope and the label are given."""
+        for name, laid in self.values.items():
+            laid[place] = values[name]
+        for column, key in enumerate(self.keys):
+            for name, of_key in derivatives.get(key, {}).items():
+                self.derivatives[name][(*place, column)] = of_key
 
 
 def _names(wanted: Sequence[str] | None, walker: Walker) -> list[str]:
@@ -126,10 +154,6 @@ def _keys(wanted: Sequence[str] | None, line: Mapping[str, Any]) -> list[str]:
 def _key(line: Mapping[str, Any], name: str) -> KeyOfWalker:
     """A key of a line's walker."""
     return KeyOfWalker(name, value_of_key(line, name), walkers_over(line, name))
-
-
-#: Slope and label of gaits.
-_Place = tuple[np.ndarray, np.ndarray]
 
 
 def _grounds(

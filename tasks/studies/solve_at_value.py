@@ -429,8 +429,8 @@ def _solve_at_keys(
     """Solve gaits, each of a walker of its own, from those at which curves pass values;
     what `_Found` has, but for the samples and the log.
     """
-    keys, slope, drive = gaits.keys, gaits.slope, gaits.problem.drive
-    assert keys is not None and slope is not None and gaits.log_slope is not None
+    keys, slope = gaits.keys, gaits.slope
+    assert keys is not None and slope is not None
     numbers = [(number, 0) for number in range(len(groups))]
     X = np.hstack([passed.X for passed in groups]) if groups else np.empty((1, 0))
     (values,) = keys.values(X[-1:])
@@ -438,17 +438,23 @@ def _solve_at_keys(
     if not len(values):
         return None, groups, numbers, values, slopes
 
-    walkers = [keys.walker_at(value) for value in values.tolist()]
-    lanes = Lanes(walkers, keys.structure, drive)
-    counted = np.full(len(values), np.exp(gaits.log_slope))
-    guesses = unmeasured(lanes, X[:-1], counted)
+    lanes, guesses = _guesses_at(gaits, keys, X)
     of_groups = slices([len(passed.value) for passed in groups])
     in_groups = [lanes_of(guesses, some) for some in of_groups]
 
-    alone = [(lanes.alone(lane), 1) for lane in range(len(walkers))]
+    alone = [(lanes.alone(lane), 1) for lane in range(len(values))]
     to_bound = partial(_settle, accuracy=wanted.accuracy)
     solved = solve_guesses(lanes, in_groups, to_bound, wanted, alone)
     return solved, groups, numbers, values, slopes
+
+
+def _guesses_at(gaits: Equations, keys: Keys, X: np.ndarray) -> tuple[Lanes, Guesses]:
+    """The walkers at points X (u, n) of curves of gaits over a key, and guesses there."""
+    (values,) = keys.values(X[-1:])
+    walkers = [keys.walker_at(value) for value in values.tolist()]
+    lanes = Lanes(walkers, keys.structure, gaits.problem.drive)
+    Z, _ = gaits.split(X)
+    return lanes, unmeasured(lanes, Z[:-1], np.exp(Z[-1]))
 
 
 def _settle(problem: Problem, guesses: Guesses, accuracy: float) -> Polished:

@@ -25,6 +25,15 @@ _UPHILL, _DOWNHILL = (-0.01, -1e-4), (1e-3, 0.04)
 #: Largest push-off over m sqrt(g leg), torque and stiffness over m g leg, and damping
 #: over m leg sqrt(g leg).
 _PUSH, _TORQUE, _STIFFNESS, _DAMPING = 0.15, 0.01, 0.05, 0.001
+#: Share of the walkers that have a key.
+_SHARES = {
+    "push_off": 0.7,
+    "hip_stiffness": 0.5,
+    "hip_damping": 0.3,
+    "hip_torque": 0.5,
+}
+#: A walker's name, its keys, and a slope [rad].
+Case = tuple[str, dict[str, float], float]
 
 
 @dataclass
@@ -40,16 +49,16 @@ class Compared:
     """
 
     off: list[float] = field(default_factory=list)
-    wrong: list[tuple[str, dict[str, float], float]] = field(default_factory=list)
+    wrong: list[Case] = field(default_factory=list)
 
-    def add(self, case: tuple[str, dict[str, float], float], off: float) -> None:
+    def add(self, case: Case, off: float) -> None:
         """Count one more."""
         self.off.append(off)
         if not off <= 1:
             self.wrong.append(case)
 
 
-def case(number: int) -> tuple[str, dict[str, float], float]:
+def case(number: int) -> Case:
     """Return a random driven walker: its name, its keys, and a slope [rad]."""
     rng = np.random.default_rng([number, 32])
     name = WALKERS[number % len(WALKERS)]
@@ -59,28 +68,34 @@ def case(number: int) -> tuple[str, dict[str, float], float]:
         for key in _KEYS
         if rng.random() < 0.3 and getattr(walker, key)
     }
-    weight = walker.total_mass * walker.g * walker.leg
-    impulse = walker.total_mass * (walker.g * walker.leg) ** 0.5
     # Legs of a light foot swing by torques of its size.
     light = 0.01 if name in ("E", "F") else 1.0
-    if rng.random() < 0.7:
-        keys["push_off"] = float(impulse * _PUSH * rng.random())
-    if rng.random() < 0.5:
-        keys["hip_stiffness"] = float(weight * light * _STIFFNESS * rng.random())
-    if rng.random() < 0.3:
-        keys["hip_damping"] = float(
-            weight * light * walker.time_unit * _DAMPING * rng.random()
-        )
-    if rng.random() < 0.5 or "push_off" not in keys:
-        keys["hip_torque"] = float(weight * light * _TORQUE * rng.random())
+    keys |= _driving(rng, walker, light)
     ground = rng.integers(3)
     slope = (0.0, float(rng.uniform(*_UPHILL)), float(rng.uniform(*_DOWNHILL)))
     return name, keys, slope[ground]
 
 
-def gaits(
-    numbers: Iterable[int],
-) -> Iterator[tuple[tuple[str, dict[str, float], float], dict[str, Any]]]:
+def _driving(
+    rng: np.random.Generator, walker: Walker, light: float
+) -> dict[str, float]:
+    """Random keys that drive a walker whose legs are so light."""
+    torque = walker.total_mass * walker.g * walker.leg * light
+    sizes = {
+        "push_off": _PUSH * walker.total_mass * (walker.g * walker.leg) ** 0.5,
+        "hip_stiffness": _STIFFNESS * torque,
+        "hip_damping": _DAMPING * torque * walker.time_unit,
+        "hip_torque": _TORQUE * torque,
+    }
+    keys = {}
+    for key, share in _SHARES.items():
+        is_needed = key == "hip_torque" and "push_off" not in keys
+        if rng.random() < share or is_needed:
+            keys[key] = float(sizes[key] * rng.random())
+    return keys
+
+
+def gaits(numbers: Iterable[int]) -> Iterator[tuple[Case, dict[str, Any]]]:
     """Yield the gaits of random driven walkers, each with its walker, keys and slope."""
     for number in numbers:
         one = case(number)

@@ -75,21 +75,48 @@ def test_components_that_lie_apart_are_found():
 
 @pytest.mark.thorough
 def test_flips_on_level_ground_are_followed_over_the_push_off_and_a_key():
-    """Between their points single gaits of the walker have the multiplier -1."""
-    plane = {"push_off": [0.1, 0.2], "R": [0.0, 0.2]}
-    line = {"walker": "D", "set": {}}
-    asked = {"line": line, "slope": np.array([0.0]), "plane": plane, "kinds": ["flip"]}
-    found = {
-        name.removeprefix("curves/"): values
-        for name, values in curve(asked, [{}]).items()
+    """Single gaits have the multiplier -1 there."""
+    plane = {
+        "push_off": [0.1, 0.2],
+        "R": [0.0, 0.2],
     }
-    assert len(found["kind"]) > 5 and set(found["slope"]) == {0.0}
-    assert (found["walks"] == 1).all() and (found["error_bound"] < 1e-13).all()
-    for k in (0, len(found["kind"]) // 2, -1):
-        keys = {"push_off": found["value"][k], "R": found["other_value"][k]}
-        asked = {"walker": "D", "slope": 0.0, "set": keys}
-        (gait,) = (g for g in solve_one(asked)["gaits"] if g["gait"] == "long")
-        assert gait["multipliers"][0][0] == pytest.approx(-1, abs=1e-11)
-        assert gait["stance_angle"] == pytest.approx(
-            found["stance_angle"][k], rel=1e-12
+    asked = {
+        "line": {"walker": "D", "set": {}},
+        "slope": np.array([0.0]),
+        "plane": plane,
+        "kinds": ["flip"],
+    }
+
+    found = {
+        name.removeprefix("curves/"): column
+        for name, column in curve(asked, [{}]).items()
+    }
+
+    last = len(found["kind"]) - 1
+    assert last > 4
+    assert set(found["slope"]) == {0.0}
+    assert found["walks"].all()
+    assert (found["error_bound"] < 1e-13).all()
+    for k in (0, last // 2, last):
+        gait = long_gait(
+            push_off=found["value"][k],
+            R=found["other_value"][k],
         )
+        multiplier, _ = gait["multipliers"][0]
+        assert multiplier == pytest.approx(-1, abs=1e-11)
+
+        angle = found["stance_angle"][k]
+        assert gait["stance_angle"] == pytest.approx(angle, rel=1e-12)
+
+
+def long_gait(**keys):
+    """The long gait of D on level ground."""
+    asked = {
+        "walker": "D",
+        "slope": 0.0,
+        "set": keys,
+    }
+    for gait in solve_one(asked)["gaits"]:
+        if gait["gait"] == "long":
+            return gait
+    raise AssertionError(keys)

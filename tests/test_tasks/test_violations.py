@@ -194,16 +194,17 @@ def test_forces_of_driven_walkers_are_those_of_constraints(name, keys, slope):
     assert found["least_normal_force"] == pytest.approx(normal, rel=2e-5)
     demand = (abs(step.force[:, 0]) / step.force[:, 1]).max()
     assert found["friction_demand"] == pytest.approx(demand, rel=2e-5)
-    if not walker.knees:
-        return
-    locked = (step.time >= step.kneestrike_time) & (
-        abs(step.states[:, 4] - step.states[:, 5]) < 1e-9
-    )
-    held = [
-        slow.motion(state, slope, lock)[1][10]
-        for state, lock in zip(step.states, locked, strict=True)
-    ]
-    assert found["unlocking_torque"] == pytest.approx(-min(held), rel=1e-4)
+    if walker.knees:
+        held = min(_torques_of_the_lock(slow, step, slope))
+        assert found["unlocking_torque"] == pytest.approx(-held, rel=1e-4)
+
+
+def _torques_of_the_lock(slow, step, slope):
+    """The torque that holds the stance knee, at each sample of a step."""
+    locked = step.time >= step.kneestrike_time
+    locked &= abs(step.states[:, 4] - step.states[:, 5]) < 1e-9
+    for state, lock in zip(step.states, locked, strict=True):
+        yield slow.motion(state, slope, lock)[1][10]
 
 
 def test_the_torque_is_that_of_the_lock_at_every_instant():
