@@ -161,7 +161,7 @@ def _mapped(problem: Problem, Z: np.ndarray, times: np.ndarray):
         derivative[i, :, m * i : m * i + m] += steps.jacobian[..., i]
         after = m * ((i + 1) % n)
         derivative[i, :, after : after + m] -= np.eye(m)
-        derivative[i, :, -1] = steps.by_slope[:, i] * scale[i] * slope[i] / np.sqrt(n)
+        derivative[i, :, -1] = steps.by_drive[:, i] * scale[i] * slope[i] / np.sqrt(n)
     residual = (steps.image * scale - np.roll(Y, -1, axis=1)).T.ravel() / np.sqrt(n)
     return residual, derivative.reshape(n * m, -1), steps.jacobian
 

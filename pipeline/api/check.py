@@ -14,8 +14,8 @@ from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import slopes, states
 from gaitsweep.pipeline.study.broadcast import changes, definition
 from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.study.single_point import check_driven
 from gaitsweep.pipeline.study.states import States
-from gaitsweep.tasks.contract.registry import SLOPES
 
 #: Most steps after which a state is looked for again.
 MOST_STEPS = 8
@@ -98,15 +98,18 @@ def check(
         given, _ = states.from_csv(Path(table), convention, renamed)
     else:
         given = states.from_python(table, convention, renamed)
+    of_rows = _in_rad(given, slope, degrees)
     params = {
         "walker": definition(walker),
         "set": changes(keys),
-        **_in_rad(given, slope, degrees),
+        **of_rows,
         "convention": convention,
         "rates": _rates(rates),
         "tolerance": _tolerance(tolerance),
         "steps": Location("", "steps").count(steps, MOST_STEPS),
     }
+    lowest = float(of_rows["slope"].min(initial=np.inf))
+    check_driven(params["walker"], params["set"], lowest)
     with for_question(given.count):
         answer = ask("check_states", params)
     return _frame(answer)
@@ -127,10 +130,9 @@ def _in_rad(given: States, slope: float | None, degrees: bool) -> dict[str, Any]
     if column is None:
         column = np.full(given.count, unit * Location("", "slope").number(slope))
 
-    low, high = SLOPES
-    wrong = np.flatnonzero(~((column >= low) & (column < high)))
+    wrong = np.flatnonzero(~(slopes.is_slope(column) | slopes.is_level(column)))
     if len(wrong):
-        slopes.check(float(column[wrong[0]]))
+        slopes.check(float(column[wrong[0]]), may_be_level=True)
         raise Location("", "slope").wrong("must be finite", float(column[wrong[0]]))
     return {"slope": column, "table": values, "digits": digits, "sizes": sizes}
 

@@ -153,6 +153,8 @@ def gaits(
     if len(slope) and not any(len(line.at) for line in lines):
         if unsolvable or base.at:
             raise [*unsolvable, *wrong][0][1]
+        if slopes.is_level(slope[0]):
+            raise slopes.undriven(float(slope[0]))
         slopes.check(float(slope[0]))
     unsolvable += _wrong_slopes(base, slope, [line.at for line in lines])
 
@@ -245,10 +247,12 @@ def _can_be(base: Study, slope: np.ndarray) -> np.ndarray:
 def _check(base: Study, line: dict[str, Any], slope: np.ndarray) -> dict[str, Any]:
     """What `tasks` reports of the walker of a line, with the keys that are varied."""
     if "slope" in line:
-        slopes.check(line["slope"])
+        slopes.check(line["slope"], may_be_level=True)
     name = "check_target" if base.at else "check_walker"
     asked = {**line, **base.at, "values": slope}
     check: dict[str, Any] = dispatch.ask(name, asked)
+    if slopes.is_level(line.get("slope", 1.0)) and "drive" not in check["features"]:
+        raise slopes.undriven(line["slope"])
     return check
 
 
@@ -263,11 +267,18 @@ def _wrong_slopes(
         is_wrong[at] = False
     wrong = np.flatnonzero(is_wrong)
     values, which = np.unique(slope[wrong], return_inverse=True)
-    bound = "must be finite" if base.at else slopes.BOUND
     return [
-        (wrong[which == k], StudyError(f"`{base.along}` {bound}; got {value!r}."))
+        (wrong[which == k], _refused(base, value))
         for k, value in enumerate(values.tolist())
     ]
+
+
+def _refused(base: Study, value: float) -> StudyError:
+    """Why a slope, or a value of a measure, cannot be asked for."""
+    if not base.at and slopes.is_level(value):
+        return slopes.undriven(value)
+    bound = "must be finite" if base.at else slopes.BOUND
+    return StudyError(f"`{base.along}` {bound}; got {value!r}.")
 
 
 def _in_order(

@@ -11,7 +11,7 @@ from gaitsweep.pipeline.api.threads import in_turn
 from gaitsweep.pipeline.dispatch import ask, for_question
 from gaitsweep.pipeline.study import broadcast, files, slopes, units
 from gaitsweep.pipeline.study.location import Location
-from gaitsweep.pipeline.study.single_point import led
+from gaitsweep.pipeline.study.single_point import check_driven, led
 from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
 
 
@@ -32,10 +32,12 @@ def sensitivities(
     walker : str, Path or mapping
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float, array or DataArray [rad]
-        Slopes of the ground, in [1e-18, 0.5), of one dimension at most.
+        Slopes of the ground, in [1e-18, 0.5), of one dimension at most; of driven
+        walkers also of 0 and below.
     keys : sequence of str, optional
         Keys of the walker, `detuning` or `foot_mass_ratio`; by default all keys that
-        hold a number, of a leg of one link its own.
+        hold a number, of a leg of one link its own, and of those that drive the ones
+        that are not 0.
     variables : sequence of str, optional
         Names of variables that hold a number of each gait, of one step; by default all.
     tuned : sequence of str
@@ -67,10 +69,12 @@ def sensitivities(
     definition, values = broadcast.definition(walker), broadcast.changes(changes)
     given, settings = led(definition, values)
     (grid,) = broadcast.broadcast({"slope": slope})[1]
+    changed, each = files.changed(given, tuned=tuned), _slopes(grid)
+    check_driven(changed, settings, float(each.min(initial=np.inf)))
     asked = {
-        "walker": files.changed(given, tuned=tuned),
+        "walker": changed,
         "set": settings,
-        "slope": _slopes(grid),
+        "slope": each,
         "keys": None if keys is None else list(keys),
         "measures": None if variables is None else list(variables),
     }
@@ -86,7 +90,7 @@ def _slopes(grid: xr.DataArray) -> np.ndarray:
         raise Location("", "slope").wrong(bound, f"{grid.ndim} dimensions")
     flat = grid.values.ravel().astype(float)
     for each in flat.tolist():
-        slopes.check(each)
+        slopes.check(each, may_be_level=True)
     return flat
 
 

@@ -73,9 +73,10 @@ def _slope(options: argparse.Namespace) -> float | None:
     slope = math.radians(options.slope)
     if not (slopes.is_slope(slope) or slopes.is_level(slope)):
         low, high = map(math.degrees, SLOPES)
-        raise StudyError(
-            f"`slope` must lie in [{low:.3g}, {high:.4g}) degrees; got {options.slope:g}."
-        )
+        bound = f"must lie in [{low:.3g}, {high:.4g}) degrees"
+        if slope <= 0:
+            bound += f", or in (-{high:.4g}, 0]"
+        raise StudyError(f"`slope` {bound}; got {options.slope:g}.")
     return slope
 
 

@@ -104,7 +104,8 @@ def _computed_together(requests: list[Request]) -> list[Answer]:
     if len(requests) < 2:
         return []
     lines = [request.params["line"] for request in requests]
-    params = {"lines": lines, "slope": np.empty(0), "want": ()}
+    is_level = all(request.params.get("level") for request in requests)
+    params = {"lines": lines, "slope": np.empty(0), "want": (), "level": is_level}
     try:
         results = dispatch.resolve(requests[0].together)(params, [])
     except Exception:

@@ -274,9 +274,12 @@ def inner_sizes(name: str, multipliers: int) -> tuple[int, ...]:
     multipliers: that of the keys by which measures are differentiated is always the
     same.
     """
+    inner = VARIABLES[name].dims[1:]
+    if not inner:
+        return ()
     keys = dispatch.resolve("gaitsweep.tasks.walkers.walker:DIFFERENTIATED")
     sizes = {"multiplier": multipliers, "key": len(keys)}
-    return tuple(sizes[dim] for dim in VARIABLES[name].dims[1:])
+    return tuple(sizes[dim] for dim in inner)
 
 
 def has_multipliers(name: str) -> bool:

@@ -201,19 +201,22 @@ def _a_grid_has_a_size(study: Study, top: Location) -> Iterator[StudyError]:
 
 
 def _level_ground_needs_a_drive(study: Study, top: Location) -> Iterator[StudyError]:
-    """Slopes of 0 and below are those of grids of walkers that are driven."""
+    """Slopes of 0 and below are those of grids, and of curves over two keys, of walkers
+    that are driven.
+    """
     axes = [axis.values for axis in study.axes if axis.name == "slope"]
     level = [x for values in axes for x in values.tolist() if slopes.is_level(x)]
     if not level:
         return
     place = top.at("axes", "slope")
-    if study.kind != "grid" or study.at:
-        what = "at values of a measure" if study.at else f"of kind `{study.kind}`"
+    plane = study.options.get("plane", {})
+    if study.kind != "grid" and not plane:
         yield place.error(
-            f"`slope` {slopes.BOUND} in studies {what}; got {level[0]:g}: on level ground "
-            "and uphill grids of driven walkers have gaits"
+            f"`slope` {slopes.BOUND} in studies of kind `{study.kind}`; got "
+            f"{level[0]:g}: on level ground and uphill grids of driven walkers have "
+            "gaits, and curves over a `plane` of two keys"
         )
-    elif "drive" not in study.features:
+    elif "drive" not in study.features and not plane.keys() & _DRIVING:
         yield place.error(
             f"`slope` {slopes.BOUND} for passive walkers; got {level[0]:g}. On level "
             "ground and uphill, grids of walkers with a `push_off` or a `hip_torque` have gaits."
@@ -285,6 +288,8 @@ def _wanted(study: Study, *keys: str) -> Iterator[tuple[str, str]]:
             yield key, name
 
 
+#: Keys that drive where they are varied.
+_DRIVING = {"push_off", "hip_torque"}
 RULES: tuple[Rule, ...] = (
     _accuracy_is_of_grids,
     _what_is_wanted_has_its_kind,

@@ -122,17 +122,20 @@ def solve_at(
         if slope is not None:
             raise Location("", "slope").wrong("is varied and cannot be set too", slope)
         for end in between or ():
-            slopes.check(end, Location("", "between"))
+            slopes.check(end, Location("", "between"), may_be_level=True)
     else:
         if slope is None:
             place = Location("", "vary")
             raise place.wrong("needs `slope`, as a key is varied", vary)
-        slopes.check(slope)
+        slopes.check(slope, may_be_level=True)
         params["slope"] = slope
     if between is not None:
         params["between"] = _rising(between, Location("", "between"))
 
     params |= _of_walker(definition, keys, tuned, limits)
+    if slope is not None and slopes.is_level(slope):
+        checked = ask("check_target", {**params, "values": [params["value"]]})
+        _refuse_undriven(checked, slope)
     with for_question():
         answer: dict[str, Any] = ask("solve_at", params)
     return answer
@@ -163,9 +166,13 @@ def check_driven(walker: Definition, keys: Mapping[str, Any], slope: float) -> N
     """
     if not slopes.is_level(slope):
         return
-    checked = ask("check_walker", {"walker": walker, "set": keys})
+    _refuse_undriven(ask("check_walker", {"walker": walker, "set": keys}), slope)
+
+
+def _refuse_undriven(checked: Mapping[str, Any], slope: float) -> None:
+    """Refuse a level slope of a walker that was checked, if nothing drives it."""
     if "drive" not in checked["features"]:
-        slopes.refuse_level(slope)
+        raise slopes.undriven(slope)
 
 
 def _rising(between: Sequence[float], place: Location) -> tuple[float, float]:

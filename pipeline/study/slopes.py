@@ -29,16 +29,12 @@ def is_level(value: float | np.ndarray) -> Any:
     return (value <= 0) & (value > -SLOPES[1])
 
 
-def refuse_level(value: float) -> None:
-    """Refuse a slope of 0, or below, of a walker that nothing drives there.
-
-    Raises
-    ------
-    StudyError
-        Always.
+def undriven(value: float) -> StudyError:
+    """Return why a slope of 0, or below, cannot be asked for of a walker that nothing
+    drives there.
     """
     wrong = str(Location("", "slope").wrong(BOUND, value))
-    raise StudyError(
+    return StudyError(
         f"{wrong[:-1]}: on level ground and uphill a walker needs a `push_off` or a "
         "`hip_torque`."
     )

@@ -76,5 +76,5 @@ def fields(value: Mapping[str, Any], place: Location) -> dict[str, Any]:
         return {"vary": vary}
     if vary == "slope":
         for end in between:
-            slopes.check(end, place.at("between"))
+            slopes.check(end, place.at("between"), may_be_level=True)
     return {"vary": vary, "between": between}

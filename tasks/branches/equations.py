@@ -43,6 +43,7 @@ from gaitsweep.tasks.gaits.rounding import UNITS, by_fifteen
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait, Numbers
 from gaitsweep.tasks.mechanics.lumped import Structure, structure_of
 from gaitsweep.tasks.mechanics.sums import norm, total
+from gaitsweep.tasks.step.drive import OVER_SLOPE, Drive, over_slopes
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
@@ -149,15 +150,16 @@ class Keys:
         low, high = np.reshape([self.low, self.high], (2, -1, 1))
         return np.clip(values, low, high)
 
-    def lanes(self, x: ndarray) -> Lanes:
-        """Return the step maps at unknowns (k, n).
+    def lanes(self, x: ndarray, drive: Drive = OVER_SLOPE) -> Lanes:
+        """Return the step maps at unknowns (k, n), their slopes counted as a drive has
+        them.
 
         Beyond the ranges, where there may be no walker, their constants are continued
         linearly.
         """
         values = x * self.scale[:, None]
         if self.walkers_at is not None:
-            return Lanes(self.walkers_at(values), self.structure)
+            return Lanes(self.walkers_at(values), self.structure, drive)
         different, lane = np.unique(values, axis=1, return_inverse=True)
         inner = self._within(different)
 
@@ -165,7 +167,7 @@ class Keys:
         if (inner != different).any():
             mirrored = self._of_values(2 * inner - different)
             lanes.constants = 2 * lanes.constants - mirrored.constants
-        return lanes.some(lane.ravel())
+        return lanes.some(lane.ravel()).over(drive)
 
     def _of_values(self, values: ndarray) -> Lanes:
         """The step maps at values (k, n); NaN where there is no such walker."""
@@ -227,13 +229,18 @@ class Equations:
         slope: float | None = None,
     ):
         self.conditions = tuple(conditions)
-        self.log_slope = None if slope is None else float(np.log(slope))
+        self.slope = slope
+        drive, counted = OVER_SLOPE, np.nan
+        if slope is not None:
+            drive, counted = over_slopes(slope)
+        #: As branches have it, which count slopes of 0 and below from a lower one.
+        self.log_slope = None if slope is None else float(np.log(counted))
         self.keys = walkers if isinstance(walkers, Keys) else None
         if isinstance(walkers, Keys):
             ordinary = walkers.walker_at(*walkers.ordinary)
-            self.problem: Problem = Lanes([ordinary], walkers.structure)
+            self.problem: Problem = Lanes([ordinary], walkers.structure, drive)
         else:
-            self.problem = walkers
+            self.problem = walkers if slope is None else walkers.over(drive)
         self._check()
 
     def _check(self) -> None:
@@ -271,6 +278,14 @@ class Equations:
         some.problem = self.problem.some(lanes)
         return some
 
+    def over(self, drive: Drive) -> Equations:
+        """Return the equations of the same gaits, with slopes counted as a drive has
+        them.
+        """
+        other = copy.copy(self)
+        other.problem = self.problem.over(drive)
+        return other
+
     def having(self, conditions: Sequence[Condition]) -> Equations:
         """Return the equations of the same gaits with other conditions."""
         other = copy.copy(self)
@@ -289,7 +304,9 @@ class Equations:
 
     def problem_at(self, X: Coordinates) -> Problem:
         """Return the step map at points X (u, n)."""
-        return self.problem if self.keys is None else self.keys.lanes(self.split(X)[1])
+        if self.keys is None:
+            return self.problem
+        return self.keys.lanes(self.split(X)[1], self.problem.drive)
 
     def evaluate(self, X: Coordinates, samples: int = 0) -> Evaluation:
         """Evaluate steps at points X (u, n), with `samples` of their motion as

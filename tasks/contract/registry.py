@@ -134,7 +134,7 @@ TASKS = {
         Task(
             "claims",
             "gaitsweep.tasks.ledger.check_claims:claims",
-            24,
+            25,
             needs=("points", "atlas"),
         ),
     )
@@ -208,6 +208,7 @@ _FAMILIES = {
     "W": 1,
     "G": 2,
     "A": 6,
+    "L": 2,
 }
 CLAIMS = tuple(
     f"{family}{n}" for family, count in _FAMILIES.items() for n in range(1, count + 1)

@@ -207,11 +207,13 @@ def admit(names: Iterable[str]) -> None:
         If one cannot be loaded, or is none.
     """
     names = {*names}
-    for name in names:
+    by_keys = [name for name in names if name.endswith(BY_KEY)]
+    for name in by_keys:
         _admit_derivative(name)
-    for name in derivatives([*VARIABLES]):  # in the order of their measures
-        if name in VARIABLES:
-            VARIABLES[name] = VARIABLES.pop(name)
+    if by_keys:
+        for name in derivatives([*VARIABLES]):  # in the order of their measures
+            if name in VARIABLES:
+                VARIABLES[name] = VARIABLES.pop(name)
     for name in names - {
         own
         for variable in VARIABLES.values()

@@ -9,6 +9,7 @@ from gaitsweep.tasks.ledger import (  # noqa: F401 (each module enters its claim
     appendix_a,
     energy,
     kneed_chaos,
+    level_ground,
     physical_walker,
     point_feet,
     published_tables,

@@ -35,6 +35,7 @@ from gaitsweep.tasks.measures.losses import (
     velocity_ratio,
 )
 from gaitsweep.tasks.mechanics.sums import total
+from gaitsweep.tasks.step.drive import OVER_SLOPE, SLOPE
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem, residual_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride, Strides, side_by_side
@@ -289,8 +290,10 @@ def describe(
     dict of ndarray, shape (n[, multipliers])
         In the walker's units; NaN where the guess is not converged to a step.
     """
-    if problem.drive.at_slope is not None:
+    if problem.drive.key != SLOPE:
         return _described_by_drive(problem, at, slope, want, limits)
+    slope = problem.slopes(slope)
+    problem = problem.over(OVER_SLOPE)
     stride, walker = at.stride, problem.every_walker
     solved = _outcomes(problem, at)
     code = solved["status"]
@@ -341,12 +344,8 @@ def _described_by_drive(
     limits: Mapping[str, float] | None,
 ) -> Arrays:
     """Variables of gaits as `describe` has them, of a walker at values of its drive."""
-    values, group = np.unique(drive, return_inverse=True)
     parts, places = [], []
-    for number, value in enumerate(values.tolist()):
-        some = np.flatnonzero(group == number)
-        slope = problem.slopes(drive[some])
-        driven = problem.driven_by(value)
+    for some, driven, slope in problem.at_slopes(drive):
         parts.append(describe(driven, lanes_of(at, some), slope, want, limits))
         places.append(some)
 

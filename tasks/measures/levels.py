@@ -76,7 +76,7 @@ def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
     -------
     dict of ndarray, shape (n,) [the walker's units]
     """
-    problem, slope = at.problem, np.exp(at.q)
+    problem, slope = at.problem, at.problem.slopes(np.exp(at.q))
     walkers = problem.every_walker
     has_travel = any(name in TRAVEL for name in names)
     needed = [name for name in names if name not in TRAVEL and name != _RADIUS]

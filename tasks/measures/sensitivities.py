@@ -12,7 +12,7 @@ key.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,7 +125,7 @@ def by_slope(
     Parameters
     ----------
     problem : Problem
-        Of one walker.
+        Of one walker, over slopes.
     Z : ndarray, shape (c, n)
         Its gaits.
     of_gait : ndarray, shape (c - 1, c, n)
@@ -172,7 +172,7 @@ def by_key(
         unknowns, as feet without mass have.
     """
     keys = Keys.of_one(key.name, key.walker_at, *key.range)
-    equations = Equations(keys)
+    equations = Equations(keys).over(problem.drive)
     if equations.problem.m != problem.m:
         why = "is special: gaits of the walkers beside it have other unknowns"
         raise WalkerError(key.name, key.value, why)
@@ -250,7 +250,7 @@ def _residual(at: Evaluation) -> np.ndarray:
 
 
 def differentiated(
-    problem: Problem, at: Polished, slope: np.ndarray, want: Sequence[str]
+    problem: Problem, at: Polished, drive: np.ndarray, want: Sequence[str]
 ) -> Measured:
     """Return the variables of the group `sensitivities` that are wanted of gaits.
 
@@ -260,7 +260,8 @@ def differentiated(
         Of one walker.
     at : Polished
         The gaits, of n lanes.
-    slope : ndarray, shape (n,) [rad]
+    drive : ndarray, shape (n,)
+        The slopes [rad], or another drive of a problem over that.
     want : sequence of str
         Names of variables.
 
@@ -275,13 +276,25 @@ def differentiated(
         return {}
     of_walker = measures(problem.walker)
     names = [name for name in map(_measure_of, wanted) if name in of_walker]
-    shape = (len(slope), len(DIFFERENTIATED))
+    shape = (len(drive), len(DIFFERENTIATED))
     found = {name: np.full(shape, np.nan) for name in wanted}
     lanes = np.flatnonzero(at.converged & at.step)
     if not len(lanes) or not names:
         return found
 
-    Z = np.vstack([at.w, np.log(slope)])[:, lanes]
+    for some, driven, slope in problem.at_slopes(drive[lanes]):
+        Z = np.vstack([at.w[:, lanes[some]], np.log(slope)])
+        # Its steps are differentiated by the slope, not by what drives there.
+        own = Problem(driven.walker, driven.steps, driven.drive)
+        for column, name, values in _by_all_keys(own, Z, names):
+            found[f"{name}{BY_KEY}"][lanes[some], column] = values
+    return found
+
+
+def _by_all_keys(
+    problem: Problem, Z: Coordinates, names: Sequence[str]
+) -> Iterator[tuple[int, str, np.ndarray]]:
+    """Yield the place of each key, and the derivatives (n,) by it of each measure."""
     line = {"walker": problem.walker.table(), "set": {}}
     keys = [
         KeyOfWalker(key, getattr(problem.walker, key), walkers_over(line, key))
@@ -289,10 +302,8 @@ def differentiated(
     ]
     by_keys, _ = at_gaits(problem, Z, keys, names)
     for key, derivatives in by_keys.items():
-        column = DIFFERENTIATED.index(key)
         for name, values in derivatives.items():
-            found[f"{name}{BY_KEY}"][lanes, column] = values
-    return found
+            yield DIFFERENTIATED.index(key), name, values
 
 
 def _measure_of(derivative: str) -> str:

@@ -39,7 +39,9 @@ class Drive:
     key : str
         `slope`, `push_off` or `hip_torque`.
     at_slope : float or None
-        The slope [rad] at which another key drives; None where it drives itself.
+        The slope [rad] at which another key drives, or from which slopes are counted
+        where it is theirs that is varied, so that those of 0 and below have logarithms,
+        too. None where slopes are counted from 0.
     """
 
     key: str = SLOPE
@@ -66,8 +68,9 @@ class Drive:
 
     def at(self, walker: Walker, drive: float) -> tuple[Walker, float]:
         """Return a walker and the slope [rad] at a value of the drive."""
-        if self.at_slope is None:
-            return walker, drive
+        if self.key == SLOPE:
+            return walker, (self.at_slope or 0.0) + drive
+        assert self.at_slope is not None
         return walker.having(self.key, drive * self.unit(walker)), self.at_slope
 
     def slopes(self, drive: ndarray) -> ndarray:
@@ -83,6 +86,8 @@ class Drive:
         """
         if self.at_slope is None:
             return drive
+        if self.key == SLOPE:
+            return self.at_slope + drive
         return np.full(np.shape(drive), self.at_slope)
 
     def constants(
@@ -91,7 +96,7 @@ class Drive:
         """Return a structure's constants, shape (constants, n), at values of the drive
         (n,).
         """
-        if self.at_slope is None:
+        if self.key == SLOPE:
             return constants
         driven = constants.copy()
         row = structure.constants.index(_LUMPED[self.key])
@@ -150,3 +155,17 @@ def unit_of_impulse(walker: Walker) -> float:
 
 #: Passive walking, and walkers that are driven on a slope that varies.
 OVER_SLOPE = Drive()
+
+
+def over_slopes(slope: float) -> tuple[Drive, float]:
+    """Return how slopes are counted so that a given one has a logarithm, and its value:
+    one of 0 or below is counted from a lower one, without loss of digits.
+
+    Parameters
+    ----------
+    slope : float [rad]
+    """
+    if slope > 0:
+        return OVER_SLOPE, slope
+    above = 2.0 ** np.ceil(np.log2(-slope)) if slope else 1.0
+    return Drive(SLOPE, slope - above), above

@@ -5,18 +5,27 @@ for each.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from gaitsweep.tasks.mechanics.lumped import Structure, constants_of
-from gaitsweep.tasks.step.drive import OVER_SLOPE, Drive, unit_of_impulse
+from gaitsweep.tasks.step.drive import (
+    OVER_SLOPE,
+    SLOPE,
+    Drive,
+    over_slopes,
+    unit_of_impulse,
+)
 from gaitsweep.tasks.step.several_steps import AnyStride, StepSequence
 from gaitsweep.tasks.step.step_map import StrideMap, stride_map
 from gaitsweep.tasks.walkers.walker import Walker
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 EPS = np.finfo(float).eps
+
+AnyProblem = TypeVar("AnyProblem", bound="Problem")
 
 
 class Problem:
@@ -75,12 +84,34 @@ class Problem:
         """Return the problem of the walker that has a value of the drive, one for all
         lanes, over the slope.
         """
-        if self.drive.at_slope is None:
-            return self
-        other = copy.copy(self)
+        if self.drive.key == SLOPE:
+            return self.over(OVER_SLOPE)
+        other = self.over(OVER_SLOPE)
         other.walker, _ = self.drive.at(self.walker, drive)
         other.constants = constants_of(WalkerArray.of([other.walker]), self.structure)
-        other.drive = OVER_SLOPE
+        return other
+
+    def at_slopes(
+        self, drive: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, Problem, np.ndarray]]:
+        """Yield the problems over slopes of the walkers that values of the drive make:
+        which of the values (n,) each is of, and their slopes as it counts them.
+        """
+        if self.drive.key == SLOPE:
+            yield np.arange(len(drive)), self, drive
+            return
+        for value in np.unique(drive).tolist():
+            numbers = np.flatnonzero(drive == value)
+            over, counted = over_slopes(float(self.slopes(drive[numbers[:1]])[0]))
+            walker = self.driven_by(value)
+            yield numbers, walker.over(over), np.full(len(numbers), counted)
+
+    def over(self: AnyProblem, drive: Drive) -> AnyProblem:
+        """Return the same walkers' problem, with slopes counted as a drive has them."""
+        if drive == self.drive:
+            return self
+        other = copy.copy(self)
+        other.drive = drive
         return other
 
     def parameters(self, drive: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -181,14 +212,15 @@ class Problem:
         scale = scale_of(angle)
         return np.vstack([angle, angle * w[1 : self.m]]) / scale, scale
 
-    def start(self, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    def start(self, y: np.ndarray, drive: np.ndarray) -> np.ndarray:
         """State just after heelstrike of section states; of those of several steps, of
         the first.
 
         Parameters
         ----------
         y : ndarray, shape (m, n) [rad, rad/sqrt(leg/g)]
-        slope : ndarray, shape (n,) [rad]
+        drive : ndarray, shape (n,)
+            As for `parameters`.
 
         Returns
         -------
@@ -196,10 +228,10 @@ class Problem:
             Stance angle and the rates of stance leg, thigh and shank.
         """
         scale, size = scale_of(y[0]), self.map.start_size
-        state = self.map.start(y / scale, self.parameters(slope, scale))[:size] * scale
+        state = self.map.start(y / scale, self.parameters(drive, scale))[:size] * scale
         return state[[0, size // 2, size // 2 + 1, size - 1]]
 
-    def section_of(self, state: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    def section_of(self, state: np.ndarray, drive: np.ndarray) -> np.ndarray:
         """Section coordinates of states just after heelstrike: what `start` takes to
         them.
 
@@ -207,7 +239,8 @@ class Problem:
         ----------
         state : ndarray, shape (3, n) [rad, rad/sqrt(leg/g)]
             Stance angle, stance rate and thigh rate.
-        slope : ndarray, shape (n,) [rad]
+        drive : ndarray, shape (n,)
+            As for `parameters`.
 
         Returns
         -------
@@ -219,7 +252,7 @@ class Problem:
             return state[: self.m].copy()
         scale, size = scale_of(state[0]), self.map.start_size
         at_rest = np.vstack([state[:1] / scale, np.zeros_like(state[1:])])
-        start = self.map.start(at_rest, self.parameters(slope, scale))
+        start = self.map.start(at_rest, self.parameters(drive, scale))
         rates = [size // 2, size // 2 + 1]
         by_y = start[size:].reshape(size, 3, -1)
         matrix = by_y[rates, 1:].transpose(2, 0, 1)

@@ -75,14 +75,14 @@ class Stride:
         dP/dy.
     times : ndarray, shape (k, n)
         Kneestrike, for knees, and heelstrike, corrected.
-    by_slope : ndarray, shape (m, n)
-        Derivative of P(y) by the slope, or by what else drives the walker; zero where
-        not asked for.
+    by_drive : ndarray, shape (m, n)
+        Derivative of P(y) by the drive, the slope or what else drives the walker; zero
+        where not asked for.
     residual : ndarray, shape (m + k, n)
         Of the joint equations: the image less y, at the given durations of the phases,
         and the guards of the strikes.
     derivative : ndarray, shape (m + k, m + k + 1, n)
-        Of the residual by y, the event times and the slope.
+        Of the residual by y, the event times and the drive.
     inverse : ndarray, shape (m + k, m + k, n)
         How far a residual moves the fixed point's y and its event times.
     newton, newton_times : ndarray, shape (m, n) and (k, n)
@@ -103,7 +103,7 @@ class Stride:
     image: Sections
     jacobian: np.ndarray
     times: Times
-    by_slope: Sections
+    by_drive: Sections
     residual: np.ndarray
     derivative: np.ndarray
     inverse: np.ndarray
@@ -156,7 +156,7 @@ def _changed(values: Any, change: Callable[[np.ndarray], np.ndarray]) -> Any:
 
 class _Phase(NamedTuple):
     """A phase to integrate; D (angles, directions, n) are the directions carried along,
-    that by the slope last where it is asked for, of at most `width`.
+    that by the drive last where it is asked for, of at most `width`.
     """
 
     structure: Structure
@@ -204,7 +204,7 @@ class StrideMap:
 
     def _compile_knee(self) -> CompiledFunction:
         """From the end of three links to the start of two, with directions (y,
-        duration, slope).
+        duration, drive).
 
         The flow of two links carries its own field and three unit vectors beside it,
         whatever the directions: a part along the field is only a shift of time, which
@@ -228,7 +228,7 @@ class StrideMap:
         """From the end of two links to the image on the section, its derivatives and
         the Newton step, in the order of `rows_of_end`.
 
-        Directions are (y, the durations of the phases, slope).
+        Directions are (y, the durations of the phases, drive).
         """
         p, m = Symbols(self.structure), self.m
         y, x = vector("y", m), vector("x", 4)
@@ -251,11 +251,11 @@ class StrideMap:
     def _directions(
         self, carried: list[list[Sym]], parts: list[list[Sym]], rates: list[Sym]
     ) -> list[list[Sym]]:
-        """Derivatives of the state at the end by y, the durations and the slope, from
+        """Derivatives of the state at the end by y, the durations and the drive, from
         those that the last flow carried.
 
         With knees it carried unit vectors, of which `parts` make (y, the duration of
-        the phase with a free knee, slope).
+        the phase with a free knee, drive).
         """
         directions = []
 
@@ -311,7 +311,7 @@ class StrideMap:
         parameters : ndarray, shape (n_parameters, n)
             Slope, scale and the structure's constants.
         slope : bool
-            Also differentiate by the slope.
+            Also differentiate by the drive.
         samples : int
             Equal intervals of each phase at whose ends the motion is also returned.
         coarse : bool
@@ -392,7 +392,7 @@ class StrideMap:
 
     def _times_by(self, parts: np.ndarray, n: int) -> np.ndarray:
         """Derivatives of the event times by y, the durations as the equations have
-        them, and the slope, shape (k, m + k + 1, n).
+        them, and the drive, shape (k, m + k + 1, n).
 
         Heelstrike is timed from the start of the step; a part of a direction along the
         field at kneestrike is a shift of time.
@@ -472,7 +472,7 @@ def rows_of_end(m: int, k: int) -> dict[str, tuple[slice, tuple[int, ...]]]:
     shapes: dict[str, tuple[int, ...]] = {
         "image": (m,),
         "jacobian": (m, m),
-        "by_slope": (m,),
+        "by_drive": (m,),
         "shifts": (k, m + 2),
         "residual": (m + k,),
         "derivative": (m + k, m + k + 1),
@@ -495,7 +495,7 @@ def _to_first_order(
     knee: list[list[Sym]],
 ) -> list[Sym]:
     """All that `rows_of_end` names, from a state x at the end of the flow, its
-    derivatives D by y, durations and slope, and the section there with its own; `knee`
+    derivatives D by y, durations and drive, and the section there with its own; `knee`
     has the guard of kneestrike.
     """
     m = len(y)
@@ -532,7 +532,7 @@ def _parts(by_direction: list[list[Sym]], rates: list[Sym]) -> list[list[Sym]]:
 def _at_kneestrike(
     x: list[Sym], rates: list[Sym], carried: list[list[Sym]]
 ) -> list[Sym]:
-    """The guard, its derivatives by y, its rate and its derivative by the slope; then
+    """The guard, its derivatives by y, its rate and its derivative by the drive; then
     the state where it closes, to first order, and that state's derivatives by y.
     """
     guard, closing = x[1] - x[2], x[4] - x[5]
@@ -564,7 +564,7 @@ def _joint_equations(
 
 def _shifts(guards: list[Sym], guards_by: list[list[Sym]], m: int) -> list[list[Sym]]:
     """Changes of the durations at which the guards close, to first order: for their
-    values, y and the slope; one duration after another.
+    values, y and the drive; one duration after another.
     """
     shifts: list[list[Sym]] = []
 
@@ -581,7 +581,7 @@ def _at_strikes(
     values: list[Sym], by: list[list[Sym]], shifts: list[list[Sym]], m: int
 ) -> list[list[Sym]]:
     """Each value where the guards close, to first order, with its derivatives by y and
-    the slope; given at the end of the flow, by y, durations and slope.
+    the drive; given at the end of the flow, by y, durations and drive.
     """
     at_strikes = []
 

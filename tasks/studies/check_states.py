@@ -52,6 +52,7 @@ from gaitsweep.tasks.step.stance import (
     ground_under,
     half_between,
 )
+from gaitsweep.tasks.studies.solve_driven import branches_of, driven
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.conventions import KNEE, rate_unit, shank_of, to_ours
 from gaitsweep.tasks.walkers.resolve import walker_of_line
@@ -122,7 +123,8 @@ def check_states(params: Mapping[str, Any]) -> dict[str, Any]:
     rows = _Rows.of(walker, params)
     problem = Problem(walker)
     branches = atlases.survey(problem, COARSE)
-    case = _Case(walker, problem, branches, rows, int(params.get("steps", 1)))
+    grounds = _Grounds(problem, branches)
+    case = _Case(walker, grounds, rows, int(params.get("steps", 1)))
 
     case.refuse()
     case.fly()
@@ -259,6 +261,49 @@ def _distance(state: np.ndarray, gait: np.ndarray) -> np.ndarray:
     return np.asarray((np.abs(state - gait) / _sizes(gait)).max(axis=0))
 
 
+@dataclass(frozen=True)
+class _Grounds:
+    """A walker's gaits on any ground: those of branches over the slope and, where that is
+    level or leads uphill, over what drives there.
+    """
+
+    problem: Problem
+    branches: list[Branch]
+
+    def of(
+        self, slope: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, Problem, list[Branch], np.ndarray]]:
+        """Yield the numbers of the slopes (n,) that have branches in common, with these
+        and their problem, and the drive (k,) of each.
+        """
+        down = np.flatnonzero(slope > 0)
+        yield down, self.problem, self.branches, slope[down]
+        for level in np.unique(slope[slope <= 0]).tolist():
+            lanes = np.flatnonzero(slope == level)
+            problem, drive = driven(self.problem.walker, level)
+            if drive:
+                counted = np.full(len(lanes), drive)
+                yield lanes, problem, branches_of(problem), counted
+
+    def gaits_at(self, slope: np.ndarray) -> list[Gaits]:
+        """The gaits at slopes (n,), in as many sets as there are pieces of branches."""
+        found: list[Gaits] = []
+        for lanes, problem, branches, drive in self.of(slope):
+            for number, gaits in enumerate(gaits_at(problem, branches, drive)):
+                if number == len(found):
+                    found.append(Gaits.none(len(slope)))
+                found[number].put(lanes, gaits)
+        return found
+
+
+def _general(walker: Walker, n: int) -> Lanes:
+    """The step map with three coordinates in n lanes, of point feet as of other straight
+    legs.
+    """
+    one = Lanes([walker], general_structure_of(walker))
+    return one.some(np.zeros(n, int))
+
+
 @dataclass
 class _OnBranch:
     """The gaits (3, n) of a branch nearest to n states, NaN of none: at which slope, how
@@ -276,14 +321,14 @@ class _Case:
     """States, the walker's gaits, and what is said so far."""
 
     walker: Walker
-    problem: Problem
-    branches: list[Branch]
+    grounds: _Grounds
     rows: _Rows
     claimed: int
 
     def __post_init__(self) -> None:
         n = len(self.rows.slope)
         self.n = n
+        self.problem, self.branches = self.grounds.problem, self.grounds.branches
         self.verdict = np.full(n, "", dtype="<U32")
         self.reason = np.full(n, "", dtype=object)
         self.flown = np.zeros(n, bool)
@@ -296,9 +341,7 @@ class _Case:
         self.steps = np.ones(n, int)
         self.label = np.full(n, "", dtype=object)
         self.nearest, self.candidates = Gaits.none(n), list[Gaits]()
-        # With three coordinates, those of point feet as of other straight legs.
-        one = Lanes([self.walker], general_structure_of(self.walker))
-        self.general = one.some(np.zeros(n, int))
+        self.general = _general(self.walker, n)
 
     @property
     def open(self) -> np.ndarray:
@@ -401,12 +444,15 @@ class _Case:
         """Tell rows that are gaits of the ground on which both feet stand."""
         low, high = SLOPES
         ground = self.belongs[lanes]
-        some = lanes[
-            (ground >= low) & (ground < high) & (self.rows.state[0, lanes] > 0)
-        ]
+        is_level = np.abs(ground) <= self._on_ground(lanes)
+        self.belongs[lanes] = np.where(is_level, 0.0, ground)
+        is_slope = is_level | (ground >= low) & (ground < high)
+        some = lanes[is_slope & (self.rows.state[0, lanes] > 0)]
         state = self.rows.state[:, some]
-        for gaits in gaits_at(self.problem, self.branches, self.belongs[some]):
-            are = self.within(state, gaits.state, some) & (self.verdict[some] == "")
+        for gaits in self.grounds.gaits_at(self.belongs[some]):
+            with np.errstate(invalid="ignore"):
+                are = self.within(state, gaits.state, some)
+            are &= self.verdict[some] == ""
             known = some[are]
             self._say_slope(known, self.belongs[known])
 
@@ -464,7 +510,7 @@ class _Case:
     def _find(self, lanes: np.ndarray) -> None:
         """Solve the walker's gaits at the slopes of some rows."""
         slope, place = np.unique(self.rows.slope[lanes], return_inverse=True)
-        for number, gaits in enumerate(gaits_at(self.problem, self.branches, slope)):
+        for number, gaits in enumerate(self.grounds.gaits_at(slope)):
             if number == len(self.candidates):
                 self.candidates.append(Gaits.none(self.n))
             self.candidates[number].put(lanes, _taken(gaits, place))
@@ -514,20 +560,19 @@ class _Case:
         lanes = self._returning()
         if not len(lanes) or self.claimed > 1:
             return
+        for some, problem, _, drive in self.grounds.of(self.rows.slope[lanes]):
+            self._judge_solved(problem, lanes[some], np.log(drive))
+
+    def _judge_solved(self, problem: Problem, lanes: np.ndarray, q: np.ndarray) -> None:
+        """Tell rows near which Newton's method finds gaits, at values of ln drive."""
         y = self._sections(lanes, self.rows.state[:, lanes])
-        w, solved = _solved(
-            self.problem,
-            y,
-            self.times[:, lanes],
-            self.rows.slope[lanes],
-        )
-        lanes = lanes[solved]
-        q = np.log(self.rows.slope[lanes])
-        gaits = described(self.problem, w, q)
+        w, solved = _solved(problem, y, self.times[:, lanes], q)
+        lanes, q = lanes[solved], q[solved]
+        gaits = described(problem, w, q)
         near = _distance(self.rows.state[:, lanes], gaits.state)
         nearer = np.flatnonzero(near < 0.999 * self.distance[lanes])
         if len(nearer):
-            _, check = verify_steps(self.problem, w[:, nearer], q[nearer])
+            _, check = verify_steps(problem, w[:, nearer], q[nearer])
             happen = check.step & ~check.doubt
             gaits.passes[nearer] = check.leg_passes
             nearer = nearer[happen]
@@ -631,11 +676,22 @@ class _Case:
         returns: np.ndarray,
     ) -> None:
         """Tell rows that are gaits of so many steps, from the steps taken."""
-        problem, m = self.problem.of_steps(steps), self.problem.m
-        y = np.array([section[:m, returns] for section in sections[:steps]])
+        y = np.array(
+            [section[: self.problem.m, returns] for section in sections[:steps]]
+        )
         ends = np.array([each[:, returns] for each in times[:steps]])
-        durations = np.diff(ends, axis=1, prepend=0)
-        w, q = joined(0.0, y, durations), np.log(self.rows.slope[lanes])
+        w = joined(0.0, y, np.diff(ends, axis=1, prepend=0))
+        for some, problem, _, drive in self.grounds.of(self.rows.slope[lanes]):
+            of_steps = problem.of_steps(steps)
+            self._judge_cycles_of(of_steps, lanes[some], w[:, some], np.log(drive))
+
+    def _judge_cycles_of(
+        self, problem: Problem, lanes: np.ndarray, w: np.ndarray, q: np.ndarray
+    ) -> None:
+        """Tell rows that are gaits of several steps, by Newton's method from points w
+        (c - 1, k) at values of ln drive.
+        """
+        steps = problem.steps
         w, converged = newton(problem, w, q)
         lanes = lanes[converged]
         gaits = described(problem, w[:, converged], q[converged])
@@ -687,8 +743,10 @@ class _Case:
         """Tell rows that are gaits of the slope that was rounded to theirs."""
         near, slope = self.rows.near_slope, self.rows.slope
         lanes = self.steppable
-        lanes = lanes[near[lanes] > self.rows.relative * slope[lanes]]
-        low, high = np.log(slope - near), np.log(slope + near)
+        is_rounded = near[lanes] > self.rows.relative * slope[lanes]
+        lanes = lanes[is_rounded & (slope[lanes] > near[lanes])]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            low, high = np.log(slope - near), np.log(slope + near)
         for found in self._on_branches(lanes):
             q = np.log(found.slope)
             along = np.clip(q + found.along, low[lanes], high[lanes]) - q
@@ -706,6 +764,7 @@ class _Case:
             are = self._are(found, found.along, lanes, _CHANGED)
             slope = found.slope * np.exp(found.along)
             self._say_slope(lanes[are], slope[are])
+        self._judge_level(lanes)
 
     def _are(
         self, found: _OnBranch, along: np.ndarray, lanes: np.ndarray, factor: float
@@ -736,10 +795,25 @@ class _Case:
                 along = total(products) / total(moves**2)
             yield _OnBranch(slope, gaits, changes, along)
 
+    def _judge_level(self, lanes: np.ndarray) -> None:
+        """Tell rows that are gaits of level ground."""
+        if "drive" not in self.walker.features:
+            return
+        level = np.zeros(len(lanes))
+        for gaits in self.grounds.gaits_at(level):
+            with np.errstate(invalid="ignore"):
+                are = self.within(
+                    self.rows.state[:, lanes], gaits.state, lanes, _CHANGED
+                )
+            are &= self.verdict[lanes] == ""
+            self._say_slope(lanes[are], level[are])
+
     def judge_walkers(self) -> None:
         """Tell rows that are gaits of another walker of the catalogue at their slope."""
         for name, walker in CATALOGUE.items():
+            # They are passive.
             lanes = self.steppable
+            lanes = lanes[self.rows.slope[lanes] > 0]
             if not len(lanes) or walker == self.walker:
                 continue
             if walker.knees == self.walker.knees:
@@ -759,7 +833,7 @@ class _Case:
             problem,
             y[:, returns],
             steps.times[:, returns],
-            slope[returns],
+            np.log(slope[returns]),
         )
         returns = returns[solved]
         gaits = described(problem, w, np.log(slope[returns]))
@@ -816,19 +890,19 @@ def _close(steps: SimulatedSteps, start: np.ndarray) -> np.ndarray:
 
 
 def _solved(
-    problem: Problem, y: np.ndarray, times: np.ndarray, slope: np.ndarray
+    problem: Problem, y: np.ndarray, times: np.ndarray, q: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gaits in similarity coordinates to which Newton's method leads from sections, and
-    which sections lead to one.
+    """Gaits in similarity coordinates to which Newton's method leads from sections at
+    values of ln drive, and which sections lead to one.
     """
-    if not len(slope):
+    if not len(q):
         return np.empty((problem.m + problem.phases, 0)), np.empty(0, bool)
     y = y[: problem.m]
     w = np.vstack([np.log(y[:1]), y[1:] / y[0], times])
     w, converged = newton(
         problem,
         w,
-        np.log(slope),
+        q,
         max_iterations=_MOST_ITERATIONS,
     )
     return w[:, converged], converged

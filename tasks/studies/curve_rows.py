@@ -42,14 +42,14 @@ def rows(
 
 
 def start_and_period(
-    problem: Problem, w: np.ndarray, slope: float, time_unit: float
+    problem: Problem, Z: np.ndarray, time_unit: float
 ) -> tuple[float, ...]:
     """Return the stance angle and the rates just after heelstrike, and the period, of a
-    gait w (c,) in similarity coordinates, in the walker's units.
+    gait Z (c,) in similarity coordinates and ln drive, in the walker's units.
     """
-    y, scale = problem.section(w[:, None])
-    state = problem.start(y * scale, np.array([slope]))[:, 0]
+    y, scale = problem.section(Z[:-1, None])
+    state = problem.start(y * scale, np.exp(Z[-1:]))[:, 0]
 
     angle, *rates = state.tolist()
     in_units = [rate / time_unit for rate in rates]
-    return (angle, *in_units, float(w[-1]) * time_unit)
+    return (angle, *in_units, float(Z[-2]) * time_unit)

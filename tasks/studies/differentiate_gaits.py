@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks.branches import atlas as atlases
+from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.equations import Equations
 from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
@@ -19,8 +20,15 @@ from gaitsweep.tasks.gaits.polish import settle, unmeasured
 from gaitsweep.tasks.gaits.step_check import gait_ratio
 from gaitsweep.tasks.measures.levels import measures_at
 from gaitsweep.tasks.measures.names import check_measure, measures
-from gaitsweep.tasks.measures.sensitivities import SLOPE, KeyOfWalker, at_gaits
+from gaitsweep.tasks.measures.sensitivities import (
+    SLOPE,
+    KeyOfWalker,
+    Measured,
+    at_gaits,
+)
+from gaitsweep.tasks.step.drive import over_slopes
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.studies.solve_driven import branches_of, driven
 from gaitsweep.tasks.walkers.resolve import (
     is_one_link,
     value_of_key,
@@ -39,6 +47,8 @@ from gaitsweep.tasks.walkers.walker import (
 #: Keys that legs of one and of two links share; keys that move several others.
 _COMMON = ("R", "m_h", "g")
 _DERIVED = ("detuning", "foot_mass_ratio")
+#: Slope and label of gaits.
+_Place = tuple[np.ndarray, np.ndarray]
 
 
 def differentiate(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -70,56 +80,49 @@ def differentiate(params: Mapping[str, Any]) -> dict[str, Any]:
     keys = [_key(line, key) for key in _keys(params.get("keys"), line)]
     slope = np.asarray(params["slope"], float)
 
-    problem = Problem(walker)
-    Z, place = _gaits(problem, slope)
-    values = measures_at(names, Equations(problem).evaluate(Z))
-    derivatives, absent = at_gaits(problem, Z, keys, names)
-
     by = [SLOPE, *(key.name for key in keys)]
-    by_labels = _By(len(slope), place, by)
+    found = _ByLabels.none(len(slope), names, by)
+    for problem, Z, place in _grounds(walker, slope):
+        values = measures_at(names, Equations(problem).evaluate(Z))
+        derivatives, absent = at_gaits(problem, Z, keys, names)
+        found.put(place, values, derivatives)
+        found.absent.update(absent)
+
     return {
-        "keys": by,
-        "absent": absent,
-        "values": {name: by_labels.values(values[name]) for name in names},
-        "derivatives": {
-            name: by_labels.derivatives(name, derivatives) for name in names
-        },
+        **vars(found),
         "units": {name: VARIABLES[name].units(walker.si) for name in names},
         "si": walker.si,
     }
 
 
 @dataclass(frozen=True)
-class _By:
-    """Lays gaits out by slope and label, and their derivatives by key.
-
-    Attributes
-    ----------
-    slopes : int
-    place : pair of ndarray of int, shape (g,)
-        Slope and label of each gait.
-    keys : list of str
+class _ByLabels:
+    """Measures and their derivatives, laid out by slope and label, and by the names of
+    keys; and why there are none by some.
     """
 
-    slopes: int
-    place: tuple[np.ndarray, np.ndarray]
     keys: list[str]
+    values: dict[str, np.ndarray]
+    derivatives: dict[str, np.ndarray]
+    absent: dict[str, str]
 
-    def values(self, of_gaits: np.ndarray) -> np.ndarray:
-        """Values, shape (slopes, gaits), of all gaits (g,)."""
-        laid = np.full((self.slopes, len(GAITS)), np.nan)
-        laid[self.place] = of_gaits
-        return laid
+    @classmethod
+    def none(cls, slopes: int, names: Sequence[str], keys: list[str]) -> _ByLabels:
+        """Return so many slopes without a gait."""
+        shape = slopes, len(GAITS)
+        values = {name: np.full(shape, np.nan) for name in names}
+        by = {name: np.full((*shape, len(keys)), np.nan) for name in names}
+        return cls(keys, values, by, {})
 
-    def derivatives(
-        self, name: str, by_keys: Mapping[str, Mapping[str, np.ndarray]]
-    ) -> np.ndarray:
-        """Derivatives of a measure, shape (slopes, gaits, keys)."""
-        laid = np.full((self.slopes, len(GAITS), len(self.keys)), np.nan)
+    def put(
+        self, place: _Place, values: Measured, derivatives: Mapping[str, Measured]
+    ) -> None:
+        """Lay out those of gaits, of which the slope and the label are given."""
+        for name, laid in self.values.items():
+            laid[place] = values[name]
         for column, key in enumerate(self.keys):
-            if key in by_keys:
-                laid[..., column] = self.values(by_keys[key][name])
-        return laid
+            for name, of_key in derivatives.get(key, {}).items():
+                self.derivatives[name][(*place, column)] = of_key
 
 
 def _names(wanted: Sequence[str] | None, walker: Walker) -> list[str]:
@@ -130,14 +133,16 @@ def _names(wanted: Sequence[str] | None, walker: Walker) -> list[str]:
 
 
 def _keys(wanted: Sequence[str] | None, line: Mapping[str, Any]) -> list[str]:
-    """The keys wanted: all that hold numbers, of one link its own."""
+    """The keys wanted: all that hold numbers, of one link its own, and those of what
+    drives the walker.
+    """
     of_links = list(DIFFERENTIATED[1:])
     if is_one_link(line["walker"]):
         of_links = [*ONE_LINK, *_COMMON]
     if wanted is None:
-        return of_links
-    own = [key for key in KEYS if key not in OF_DRIVE]
-    known = (*own, *ONE_LINK, *_DERIVED)
+        walker = walker_of_line(line)
+        return [*of_links, *(key for key in OF_DRIVE if getattr(walker, key))]
+    known = (*KEYS, *ONE_LINK, *_DERIVED)
     for key in wanted:
         if key not in known:
             raise WalkerError("keys", key, f"must be of {', '.join(known)}")
@@ -149,16 +154,44 @@ def _key(line: Mapping[str, Any], name: str) -> KeyOfWalker:
     return KeyOfWalker(name, value_of_key(line, name), walkers_over(line, name))
 
 
+def _grounds(
+    walker: Walker, slope: np.ndarray
+) -> Iterator[tuple[Problem, np.ndarray, _Place]]:
+    """Yield the gaits Z (c, g) of a walker at slopes (n,), with their problem over
+    slopes, and the slope and label of each: those of all that lead down, then those of
+    each other slope.
+    """
+    down = np.flatnonzero(slope > 0)
+    if len(down):
+        problem = Problem(walker)
+        branches = atlases.survey(problem, COARSE)
+        Z, (row, label) = _gaits(problem, branches, slope[down])
+        yield problem, Z, (down[row], label)
+
+    for level in np.unique(slope[slope <= 0]).tolist():
+        at = np.flatnonzero(slope == level)
+        problem, drive = driven(walker, level)
+        if not drive:
+            continue
+        there = np.full(len(at), drive)
+        Z, (row, label) = _gaits(problem, branches_of(problem), there)
+        over, counted = over_slopes(level)
+        Z[-1] = np.log(counted)
+        yield Problem(walker, drive=over), Z, (at[row], label)
+
+
 def _gaits(
-    problem: Problem, slope: np.ndarray
-) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Gaits Z (c, g) of a walker at slopes (n,), and the slope and label of each."""
-    pieces = list(_of_pieces(problem, slope))
+    problem: Problem, branches: Sequence[Branch], drive: np.ndarray
+) -> tuple[np.ndarray, _Place]:
+    """Gaits Z (c, g) on branches at values of the drive (n,), and the number of that and
+    the label of each.
+    """
+    pieces = list(_of_pieces(problem, branches, drive))
     if not pieces:
         none = np.empty(0, int)
         return np.empty((problem.m + problem.phases + 1, 0)), (none, none)
 
-    angle, ratio = np.full((2, len(pieces), len(slope)), np.nan)
+    angle, ratio = np.full((2, len(pieces), len(drive)), np.nan)
     for number, (Z, row, of_rates) in enumerate(pieces):
         angle[number, row] = Z[0]
         ratio[number, row] = of_rates
@@ -173,14 +206,16 @@ def _gaits(
 
 
 def _of_pieces(
-    problem: Problem, slope: np.ndarray
+    problem: Problem, branches: Sequence[Branch], drive: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Of each piece of a branch the gaits Z (c, g), their slopes and rate ratios."""
-    log_slope = np.log(slope)
-    for branch in atlases.survey(problem, COARSE):
-        for index, guess, _ in branch.guesses(log_slope):
-            settled = settle(problem, unmeasured(problem, guess[:-1], slope[index]))
+    """Of each piece of a branch the gaits Z (c, g), the numbers of their values of the
+    drive (n,), and rate ratios.
+    """
+    q = np.log(drive)
+    for branch in branches:
+        for index, guess, _ in branch.guesses(q):
+            settled = settle(problem, unmeasured(problem, guess[:-1], drive[index]))
             is_gait = settled.converged & settled.step & (settled.leg_passes == 1)
-            Z = np.vstack([settled.w, log_slope[index]])
+            Z = np.vstack([settled.w, q[index]])
             ratio = gait_ratio(settled.stride)
             yield Z[:, is_gait], index[is_gait], ratio[is_gait]

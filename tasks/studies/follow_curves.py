@@ -256,7 +256,7 @@ def _place(equations: Equations, X: ndarray, window: _Window) -> tuple[Any, ...]
     time_unit = window.keys.walker_at(value).time_unit
 
     problem = equations.problem_at(X[:, None])
-    gait = start_and_period(problem, X[:-2], slope, time_unit)
+    gait = start_and_period(problem, window.inside(X)[:-1], time_unit)
     return (slope, window.keys.names[0], value, *gait)
 
 

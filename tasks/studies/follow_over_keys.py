@@ -122,7 +122,8 @@ class _Plane:
         """
         surveyed = itertools.product(SURVEYED, SURVEYED)
         ends = [(self.value(0, a), self.value(1, b)) for a, b in surveyed]
-        survey_together([self.walker_at(*each) for each in ends])
+        if self.slope > 0:
+            survey_together([self.walker_at(*each) for each in ends])
         for number in (0, 1):
             scale = self.keys.scale[1 - number]
             for share in SURVEYED:
@@ -231,13 +232,14 @@ def _starts(
 
 def _place(plane: _Plane, equations: Equations, X: np.ndarray) -> tuple[Any, ...]:
     """Slope, both keys with their values, state at the start of the step and period of
-    a point, in the walker's units, and a bound on the relative error of the slope.
+    a point, in the walker's units, and a bound on the relative error of the slope; of
+    the slope itself on level ground.
     """
     value, other = plane.keys.values(X[-2:, None])[:, 0].tolist()
     time_unit = plane.walker_at(value, other).time_unit
     problem = equations.problem_at(X[:, None]).alone(0)
     Z, _ = equations.split(X[:, None])
-    gait = start_and_period(problem, Z[:-1, 0], plane.slope, time_unit)
+    gait = start_and_period(problem, Z[:, 0], time_unit)
 
     (condition,) = equations.conditions
     error = slope_error(problem, condition, Z[:, 0]) + 8 * EPS

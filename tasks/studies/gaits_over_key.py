@@ -1,4 +1,6 @@
-"""Gaits at a fixed slope as curves over a key of the walker."""
+"""Gaits as curves over a key of the walker at a fixed slope, and over slopes that lead
+uphill, too.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +17,7 @@ from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.mechanics.lumped import alike
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
+from gaitsweep.tasks.studies.solve_driven import branches_of, driven
 from gaitsweep.tasks.studies.solve_points import survey
 from gaitsweep.tasks.walkers.walker import Walker
 
@@ -39,29 +42,69 @@ def gaits_over_key(gaits: Equations) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     ------
     points, tangents : ndarray, shape (p, u)
     """
-    assert gaits.keys is not None and gaits.log_slope is not None
-    (scale,) = gaits.keys.scale
-    (low,) = gaits.keys.low
-    (high,) = gaits.keys.high
-    ends = [low / scale, high / scale]
-    window = np.array([ends])
-    across = across_last(gaits.size)
+    keys, slope = gaits.keys, gaits.slope
+    assert keys is not None and slope is not None
+    (scale,) = keys.scale
+    (low,) = keys.low
+    (high,) = keys.high
 
     values = [low + share * (high - low) for share in SURVEYED]
-    walkers = [gaits.keys.walker_at(value) for value in values]
-    survey_together(walkers)
+    walkers = [keys.walker_at(value) for value in values]
+    if slope > 0:
+        survey_together(walkers)
 
+    def starts() -> Iterator[np.ndarray]:
+        for value, walker in zip(values, walkers, strict=True):
+            for w in _gaits_at(walker, slope):
+                yield np.append(w, value / scale)
+
+    yield from _curves(gaits, starts(), (low / scale, high / scale))
+
+
+def gaits_over_slope(
+    gaits: Equations, low: float, high: float
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the curves of a driven walker's gaits over slopes that lead uphill, too.
+
+    Parameters
+    ----------
+    gaits : Equations
+        Of gaits over slopes, counted from one below `low`.
+    low, high : float [rad]
+
+    Yields
+    ------
+    points, tangents : ndarray, shape (p, u)
+    """
+    problem = gaits.problem
+    base = problem.drive.at_slope or 0.0
+
+    def starts() -> Iterator[np.ndarray]:
+        for share in SURVEYED:
+            slope = low + share * (high - low)
+            for w in _gaits_at(problem.walker, slope):
+                yield np.append(w, np.log(slope - base))
+
+    window = float(np.log(low - base)), float(np.log(high - base))
+    yield from _curves(gaits, starts(), window)
+
+
+def _curves(
+    gaits: Equations, starts: Iterator[np.ndarray], window: tuple[float, float]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Curves of gaits from points (u,) near them, each once, in a window of the last
+    unknown: their points and tangents (p, u).
+    """
+    across = across_last(gaits.size)
     followed: list[np.ndarray] = []
-    for value, walker in zip(values, walkers, strict=True):
-        for Z in _gaits_at(walker, gaits.log_slope):
-            guess = np.append(Z[:-1], value / scale)[:, None]
-            first = correct_on_curve(gaits, guess, across)
-            is_new = first.ok[0] and not is_on(gaits, followed, first.Z[:, 0])
-            if not is_new:
-                continue
-            points, tangents, _ = follow_both_directions(gaits, first, window)
-            followed.append(points)
-            yield points, tangents
+    for guess in starts:
+        first = correct_on_curve(gaits, guess[:, None], across)
+        is_new = first.ok[0] and not is_on(gaits, followed, first.Z[:, 0])
+        if not is_new:
+            continue
+        points, tangents, _ = follow_both_directions(gaits, first, np.array([window]))
+        followed.append(points)
+        yield points, tangents
 
 
 def survey_together(walkers: Sequence[Walker]) -> None:
@@ -73,13 +116,19 @@ def survey_together(walkers: Sequence[Walker]) -> None:
         survey(some, structure, COARSE)
 
 
-def _gaits_at(walker: Walker, log_slope: float) -> Iterator[np.ndarray]:
-    """Gaits Z (c,) of a walker at a ln slope, by the polynomials of its branches."""
-    problem = Problem(walker)
-    (branches,) = survey([walker], problem.structure, COARSE)
+def _gaits_at(walker: Walker, slope: float) -> Iterator[np.ndarray]:
+    """Gaits w (c - 1,) of a walker at a slope, by the polynomials of its branches: over the
+    slope or, on level ground and uphill, over what drives there.
+    """
+    if slope > 0:
+        problem, drive = Problem(walker), slope
+        (branches,) = survey([walker], problem.structure, COARSE)
+    else:
+        problem, drive = driven(walker, slope)
+        branches = branches_of(problem) if drive else []
     for branch in branches:
-        for _, Z, _ in branch.guesses(np.array([log_slope])):
-            yield Z[:, 0]
+        for _, Z, _ in branch.guesses(np.log([drive])):
+            yield Z[:-1, 0]
 
 
 def is_on(equations: Equations, curves: Sequence[np.ndarray], X: np.ndarray) -> bool:

@@ -74,7 +74,7 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "state": image,
         "jacobian": jacobian,
-        "by_slope": after[1] @ step.by_slope[:, 0] * scale / units,
+        "by_slope": after[1] @ step.by_drive[:, 0] * scale / units,
         "eigenvalues": values,
         "eigenvectors": vectors,
         "kneestrike_time": float(times[0, 0] * time_unit) if walker.knees else None,

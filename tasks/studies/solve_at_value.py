@@ -31,9 +31,10 @@ from gaitsweep.tasks.measures.gaits import (
 from gaitsweep.tasks.measures.names import check_measure
 from gaitsweep.tasks.measures.passed import Curve, Passed, Sampled
 from gaitsweep.tasks.measures.sensitivities import KeyOfWalker
+from gaitsweep.tasks.step.drive import SLOPE, Drive
 from gaitsweep.tasks.step.lanes import lanes_of, slices
 from gaitsweep.tasks.step.problem import Lanes, Problem
-from gaitsweep.tasks.studies.gaits_over_key import gaits_over_key
+from gaitsweep.tasks.studies.gaits_over_key import gaits_over_key, gaits_over_slope
 from gaitsweep.tasks.studies.solve_at_slope import WANT, answer, record
 from gaitsweep.tasks.studies.solve_guesses import Solved, solve_guesses
 from gaitsweep.tasks.studies.solve_points import survey
@@ -45,10 +46,10 @@ from gaitsweep.tasks.walkers.resolve import (
 )
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
-#: What is varied if it is no key.
-SLOPE = "slope"
 #: Window of slopes that is searched by default [rad].
 _WINDOW = (1e-6, SLOPES[1])
+#: Share of a key's range at which it has no special value, as 0 is.
+_ORDINARY = 0.4871
 #: Relative change of a measure over a key that is rounding.
 _UNCHANGED = 1e-10
 
@@ -68,6 +69,11 @@ class _Target:
         """Over what gaits are searched, in words."""
         return f"for `{self.vary}` from {self.low:.6g} to {self.high:.6g}"
 
+    @property
+    def is_any_slope(self) -> bool:
+        """Whether slopes are varied of which some are level, or lead uphill."""
+        return self.vary == SLOPE and self.low <= 0
+
 
 @dataclass(frozen=True, eq=False)
 class _Found:
@@ -80,7 +86,7 @@ class _Found:
     groups : list of Passed
         Of each curve.
     numbers : list of pair
-        Those of their branches and of their pieces.
+        Those of their branches and of their pieces, or of curves.
     varied, slope : ndarray, shape (n,)
         What was varied of all gaits, and their slopes.
     samples : list of Sampled
@@ -181,10 +187,12 @@ def check_target(params: Mapping[str, Any]) -> dict[str, Any]:
     if target.vary == SLOPE:
         return {**checked, "sought": ()}
 
-    middle = {**line["set"], target.vary: (target.low + target.high) / 2}
-    varied = check({**line, "set": middle})["varied"]
-    moved = [key for key, movers in varied.items() if target.vary in movers]
-    return {**checked, "sought": (target.vary, *moved)}
+    value = target.low + _ORDINARY * (target.high - target.low)
+    middle = check({**line, "set": {**line["set"], target.vary: value}})
+    moved = [key for key, movers in middle["varied"].items() if target.vary in movers]
+    features = dict.fromkeys((*checked["features"], *middle["features"]))
+    sought = target.vary, *moved
+    return {**checked, "sought": sought, "features": tuple(features)}
 
 
 def solve_at_value(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -244,6 +252,9 @@ def _target(
     if vary != SLOPE:
         for end in (low, high):
             walkers_over(line, vary)(end)
+    elif low <= 0 and "drive" not in walker.features:
+        bound = "must be slopes above 0, as nothing but gravity drives the walker"
+        raise WalkerError("between", (low, high), bound)
     return _Target(
         measure=measure,
         values=values,
@@ -291,6 +302,8 @@ def _search(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Found:
     names = [name for name in VARIABLES if name in {*wanted.names, target.measure}]
     wanted = replace(wanted, names=names)
     along = _along_slope if target.vary == SLOPE else _along_key
+    if target.is_any_slope:
+        along = _along_any_slope
     found = along(line, target, wanted)
     if found.solved:
         gaits = found.solved.gaits
@@ -332,6 +345,35 @@ def _along_slope(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _F
         samples=samples,
         log=log,
     )
+
+
+def _along_any_slope(
+    line: Mapping[str, Any], target: _Target, wanted: Wanted
+) -> _Found:
+    """Gaits of a driven walker over slopes of which some are level, or lead uphill."""
+    walker = walker_of_line(line)
+    problem = Problem(walker, drive=Drive(SLOPE, -1.0))
+    equations = Equations(problem)
+    found = gaits_over_slope(equations, target.low, target.high)
+    curves = [Curve.of_points(equations, *each) for each in found]
+    samples = [Sampled.of(curve, target.measure) for curve in curves]
+    groups = _passed(samples, target, np.log1p([target.low, target.high]))
+
+    numbers = [(number, 0) for number in range(len(groups))]
+    counted = [np.exp(passed.X[-1]) for passed in groups]
+    slope = problem.slopes(np.concatenate([np.empty(0), *counted]))
+    solved = None
+    if len(slope):
+        guesses = [
+            unmeasured(problem, passed.X[:-1], drive)
+            for passed, drive in zip(groups, counted, strict=True)
+        ]
+        solved = solve_guesses(
+            problem, guesses, partial(_settle, accuracy=wanted.accuracy), wanted
+        )
+
+    log = [f"{len(samples)} curves of gaits over slopes searched"]
+    return _Found(solved, groups, numbers, slope, slope, samples, log)
 
 
 def _passed(
@@ -377,16 +419,18 @@ def _along_key(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Fou
         edges = np.array([target.low, target.high]) / keys.scale
         groups = _passed(samples, target, edges)
 
-    found = _solve_at_keys(keys, float(line["slope"]), groups, wanted)
+    found = _solve_at_keys(gaits, groups, wanted)
     return _Found(*found, samples, log)
 
 
 def _solve_at_keys(
-    keys: Keys, slope: float, groups: list[Passed], wanted: Wanted
+    gaits: Equations, groups: list[Passed], wanted: Wanted
 ) -> tuple[Solved | None, list[Passed], list[tuple[Any, Any]], np.ndarray, np.ndarray]:
     """Solve gaits, each of a walker of its own, from those at which curves pass values;
     what `_Found` has, but for the samples and the log.
     """
+    keys, slope = gaits.keys, gaits.slope
+    assert keys is not None and slope is not None
     numbers = [(number, 0) for number in range(len(groups))]
     X = np.hstack([passed.X for passed in groups]) if groups else np.empty((1, 0))
     (values,) = keys.values(X[-1:])
@@ -394,16 +438,23 @@ def _solve_at_keys(
     if not len(values):
         return None, groups, numbers, values, slopes
 
-    walkers = [keys.walker_at(value) for value in values.tolist()]
-    lanes = Lanes(walkers, keys.structure)
-    guesses = unmeasured(lanes, X[:-1], slopes)
+    lanes, guesses = _guesses_at(gaits, keys, X)
     of_groups = slices([len(passed.value) for passed in groups])
     in_groups = [lanes_of(guesses, some) for some in of_groups]
 
-    alone = [(lanes.alone(lane), 1) for lane in range(len(walkers))]
+    alone = [(lanes.alone(lane), 1) for lane in range(len(values))]
     to_bound = partial(_settle, accuracy=wanted.accuracy)
     solved = solve_guesses(lanes, in_groups, to_bound, wanted, alone)
     return solved, groups, numbers, values, slopes
+
+
+def _guesses_at(gaits: Equations, keys: Keys, X: np.ndarray) -> tuple[Lanes, Guesses]:
+    """The walkers at points X (u, n) of curves of gaits over a key, and guesses there."""
+    (values,) = keys.values(X[-1:])
+    walkers = [keys.walker_at(value) for value in values.tolist()]
+    lanes = Lanes(walkers, keys.structure, gaits.problem.drive)
+    Z, _ = gaits.split(X)
+    return lanes, unmeasured(lanes, Z[:-1], np.exp(Z[-1]))
 
 
 def _settle(problem: Problem, guesses: Guesses, accuracy: float) -> Polished:
@@ -422,7 +473,9 @@ def _is_unchanged(samples: Sequence[Sampled]) -> bool:
 def _edges(target: _Target, found: _Found) -> tuple[float, float]:
     """Range of the last unknown of curves."""
     if target.vary == SLOPE:
-        return float(np.log(target.low)), float(np.log(target.high))
+        ends = np.array([target.low, target.high])
+        low, high = np.log1p(ends) if target.is_any_slope else np.log(ends)
+        return float(low), float(high)
     return -np.inf, np.inf
 
 

@@ -139,8 +139,9 @@ class _Rows:
                 unknown.append("slope")
             if unknown:
                 self.reason[row] = f"`{unknown[0]}` is not given."
-            elif not low <= slope < high:
+            elif not (low <= slope < high or -high < slope <= 0):
                 bound = f"must lie in [{low:g}, {high:g}) rad"
+                bound += f", or in (-{high:g}, 0]" * bool(slope <= 0)
                 self.reason[row] = f"`slope` {bound}; got {slope:.6g}."
             else:
                 self.reason[row] = _wrong(line)

@@ -227,7 +227,8 @@ def lines(
     Parameters
     ----------
     params : mapping
-        `lines`, the line of each; the others as `points` has them.
+        `lines`, the line of each; `level`, as `atlas` has it, of all, where no points
+        are asked for; the others as `points` has them.
     inputs : list
         Empty.
 
@@ -237,6 +238,8 @@ def lines(
         For each line what `atlas`, coarse, and `points` return; it does not depend on
         the other lines.
     """
+    if params.get("level"):
+        return [(atlases.to_arrays([]), {}) for _ in params["lines"]]
     solved = solve_lines(params["lines"], Request.of(params))
     return [(atlases.to_arrays(branches), one) for branches, one in solved]
 

@@ -758,3 +758,47 @@ def test_rows_that_are_no_numbers_are_no_gaits():
     answer = gaitsweep.check([[0.2, np.nan, -0.1], [np.inf, 1, 1]], "D", 0.009)
 
     assert answer["verdict"].tolist() == ["not_a_number"] * 2
+
+
+@pytest.mark.parametrize(
+    ("walker", "slope", "keys"),
+    [
+        ("B", 0.0, {"push_off": 0.1}),
+        ("B", -0.01, {"push_off": 0.2}),
+        pytest.param("C", 0.0, {"hip_torque": 0.02}, marks=pytest.mark.thorough),
+        pytest.param("C", 0.0, {"push_off": 0.05}, marks=pytest.mark.thorough),
+    ],
+)
+def test_states_of_driven_walkers_are_judged_on_level_ground(walker, slope, keys):
+    state = gait_of(walker, slope, **keys)
+    faulty = [state * [-1, 1, 1], state * [1, 1, -1], state / DEGREE, state * 1.001]
+    found = gaitsweep.check([state, *faulty], walker, slope, **keys)
+    expected = ["gait", "sign_of_angle", "sign_of_thigh_rate", "degrees", "near"]
+    assert found["verdict"].tolist() == expected
+    assert (found["gait"] == "long").all()
+
+
+def test_the_ground_is_told_on_which_a_driven_walker_is_a_gait():
+    """Down, and level, with slopes of both kinds in one table."""
+    keys = {"push_off": 0.1}
+    level, down = (gait_of("B", slope, **keys) for slope in (0.0, 0.02))
+    pairs = zip(level, down, strict=True)
+    table = {name: [*pair] for name, pair in zip(NAMES, pairs, strict=True)}
+    right = gaitsweep.check({**table, "slope": [0.0, 0.02]}, "B", **keys)
+    assert right["is_gait"].all()
+    wrong = gaitsweep.check({**table, "slope": [0.02, 0.0]}, "B", **keys)
+    assert wrong["verdict"].tolist() == ["slope", "slope"]
+    assert wrong["belongs_to_slope"].tolist() == pytest.approx([0.0, 0.02], rel=1e-9)
+
+
+def test_a_gait_of_two_steps_on_level_ground_is_told():
+    keys = {"push_off": 0.1}
+    cycle = gait_of("B", 0.0, steps=2, **keys)
+    assert np.isfinite(cycle).all()
+    assert judged([cycle], "B", 0.0, **keys).verdict == "period"
+    assert judged([cycle], "B", 0.0, steps=2, **keys).verdict == "gait"
+
+
+def test_states_of_passive_walkers_are_refused_on_level_ground():
+    with pytest.raises(gaitsweep.StudyError, match="needs a `push_off` or a `hip_torq"):
+        gaitsweep.check([[0.2, -0.2, -0.2]], "B", 0.0)

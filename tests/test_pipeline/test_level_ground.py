@@ -67,6 +67,14 @@ def test_a_page_of_level_ground_draws_and_starts_its_gaits(level, tmp_path):
     assert len(lines[0]["keys"]["violation_limits"]) == 10
 
 
+def test_arrays_of_what_nothing_drives_say_what_would():
+    found = gaits("D", [0.0, 0.01], variables=["period"])
+    said = found["reason_text"].values.astype(str)[int(found["reason"][0, 0])]
+    assert "a walker needs a `push_off` or a `hip_torque`" in said
+    with pytest.raises(StudyError, match="a walker needs a `push_off` or a `hip_torq"):
+        gaits("D", 0.0)
+
+
 def test_arrays_of_level_ground_are_the_studys():
     found = gaits("B", 0.0, push_off=[0.05, 0.1], variables=["stance_angle"])
     single = [solve("B", 0.0, push_off=push)["stance_angle"][0] for push in (0.05, 0.1)]
@@ -123,6 +131,73 @@ def test_a_study_that_nothing_drives_is_refused(text, said, tmp_path):
         read(path)
         return
     with pytest.raises(StudyError, match=re.escape(said)):
+        read(path)
+
+
+def test_a_study_finds_the_push_off_of_a_speed(tmp_path):
+    study = {
+        "name": "speeds",
+        "walker": "D",
+        "at": {"froude_speed": [0.15, 0.2], "vary": "push_off"},
+        "axes": {"slope": [0.0]},
+    }
+    found = gaitsweep.run(study, jobs=1, archive=tmp_path / "s.nc", quiet=True)
+
+    assert (found.status == "converged").all()
+    for value in (0.15, 0.2):
+        for gait in ("long", "short"):
+            one = found.sel(slope=0.0, froude_speed=value, gait=gait)
+            other = solve("D", 0.0, push_off=float(one.push_off))
+            other = other.set_index("gait").loc[gait]
+            assert other["froude_speed"] == pytest.approx(value, rel=1e-12)
+            assert float(one.error_bound) < 1e-12
+
+
+def test_a_study_at_values_on_level_ground_needs_a_drive(tmp_path):
+    path = tmp_path / "s.toml"
+    text = 'name = "s"\nwalker = "B"\nat = { speed = 0.2, vary = "m_h" }\n'
+    path.write_text(text + "[axes]\nslope = [0.0]\n")
+    with pytest.raises(StudyError, match="for passive walkers; got 0"):
+        read(path)
+    with pytest.raises(StudyError, match="needs a `push_off` or a `hip_torque`"):
+        solve("B", 0.0, at={"speed": 0.2}, vary="m_h")
+
+
+MEASURED = """slope [rad],push_off,period,gait
+0.0,0.1,3.0,long
+-0.001,0.2,3.0,
+0.0,0.0,3.0,
+-0.6,0.1,3.0,
+"""
+
+
+@pytest.mark.thorough
+def test_measurements_on_level_ground_have_residuals(tmp_path):
+    (tmp_path / "m.csv").write_text(MEASURED)
+    path = tmp_path / "m.toml"
+    path.write_text(LEVEL + '[figures.overlay]\nfile = "m.csv"\n')
+    archive = tmp_path / "m.nc"
+    gaitsweep.run(path, jobs=1, archive=archive, quiet=True)
+
+    with xr.open_dataset(archive, group="measured_gaits") as rows:
+        period, reason = rows["period"].values, rows["reason"].values.astype(str)
+        error = rows["period_error"].values
+    single = solve("B", 0.0, push_off=0.1).set_index("gait").loc["long"]
+    assert period[0] == pytest.approx(single["period"], rel=1e-13)
+    assert (error[:2] < 1e-12).all()
+    assert "nothing drives the walker there" in reason[2]
+    assert reason[3].startswith("`slope` must lie in [1e-18, 0.5) rad, or in (-0.5, 0]")
+
+
+def test_a_study_of_curves_over_the_push_off_is_read(tmp_path):
+    """It is refused without a key that drives."""
+    path = tmp_path / "s.toml"
+    text = 'name = "s"\nkind = "curve"\nwalker = "D"\n[axes]\nslope = [0.0]\n'
+    plane = "[options]\nplane = { push_off = [0.1, 0.2], R = [0.0, 0.2] }\n"
+    path.write_text(text + plane)
+    assert [*read(path).options["plane"]["push_off"]] == [0.1, 0.2]
+    path.write_text(text + plane.replace("push_off", "m_h"))
+    with pytest.raises(StudyError, match="for passive walkers; got 0"):
         read(path)
 
 

@@ -323,7 +323,8 @@ def test_gaits_at_a_value_of_a_measure_in_python_and_by_the_command(capsys):
         ),
         (
             ["--at", "speed=1", "--between", "0", "0.1"],
-            "`between` must lie in [1e-18, 0.5) rad; got 0.0.",
+            "`between` must be slopes above 0, as nothing but gravity drives the walker; "
+            "got (0.0, 0.1).",
         ),
         (
             ["--at", "speed=1", "--at", "period=1"],

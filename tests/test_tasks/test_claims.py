@@ -9,10 +9,11 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
+from gaitsweep import solve
 from gaitsweep.tasks.contract.registry import TASKS
 from gaitsweep.tasks.ledger import claim as rule
 from gaitsweep.tasks.ledger import kneed_chaos, lines, zero_slope
-from gaitsweep.tasks.ledger.check_claims import claims
+from gaitsweep.tasks.ledger.check_claims import check, claims
 from gaitsweep.tasks.ledger.claim import CLAIMS, VERDICTS, Claim, ClaimResult
 from gaitsweep.tasks.ledger.lines import paper_of
 from gaitsweep.tasks.ledger.rounding_intervals import (
@@ -46,6 +47,8 @@ IDS = {
     "G1",
     "G2",
     *(f"A{i}" for i in range(1, 7)),
+    "L1",
+    "L2",
 }
 
 
@@ -510,3 +513,19 @@ def test_a_number_allowed_by_rounding_only_is_consistent_not_reproduced():
         kneed.low < printed.number < kneed.high
         and abs(kneed.value - printed.number) > printed.half_unit
     )
+
+
+def test_a_push_off_avoids_three_quarters_of_the_loss_and_a_torque_replaces_a_collision():
+    pushing, retarding = check({"ids": ["L1", "L2"]})
+    assert pushing["verdict"] == "approximate"
+    # Collisions after a push-off and before one, of small steps of one length.
+    assert pushing["value"] == pytest.approx(4, rel=1e-4)
+    assert "B long 4.0000" in pushing["computed"]
+    assert "speed^p with p = long 4.000" in pushing["computed"]
+
+    assert retarding["verdict"] == "reproduced"
+    found = solve("E", 0.05, hip_torque=-0.002).set_index("gait").loc["short"]
+    passive = solve("E", 0.05).set_index("gait").loc["short"]
+    saved = passive["loss_tangential"] - found["loss_tangential"]
+    ratio = saved / -found["hip_torque_work"]
+    assert retarding["value"] == pytest.approx(ratio, rel=1e-9)

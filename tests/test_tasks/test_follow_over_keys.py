@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks.branches.conditions import Condition
+from gaitsweep.tasks.studies.follow_curves import curve
 from gaitsweep.tasks.studies.follow_over_keys import curves_over_keys
+from gaitsweep.tasks.studies.solve_at_slope import solve_one
 
 LINE = {"walker": "A", "set": {}}
 RANGES = {"R": (0.1, 0.3), "m_h": (0.0, 2.0)}
@@ -69,3 +71,52 @@ def test_components_that_lie_apart_are_found():
         m_h = found["curves/other_value"][own]
         middles.append((m_h.min() + m_h.max()) / 2)
     assert sorted(middles) == pytest.approx([0.8, 0.8, 1.2, 1.2], abs=0.02)
+
+
+@pytest.mark.thorough
+def test_flips_on_level_ground_are_followed_over_the_push_off_and_a_key():
+    """Single gaits have the multiplier -1 there."""
+    plane = {
+        "push_off": [0.1, 0.2],
+        "R": [0.0, 0.2],
+    }
+    asked = {
+        "line": {"walker": "D", "set": {}},
+        "slope": np.array([0.0]),
+        "plane": plane,
+        "kinds": ["flip"],
+    }
+
+    found = {
+        name.removeprefix("curves/"): column
+        for name, column in curve(asked, [{}]).items()
+    }
+
+    last = len(found["kind"]) - 1
+    assert last > 4
+    assert set(found["slope"]) == {0.0}
+    assert found["walks"].all()
+    assert (found["error_bound"] < 1e-13).all()
+    for k in (0, last // 2, last):
+        gait = long_gait(
+            push_off=found["value"][k],
+            R=found["other_value"][k],
+        )
+        multiplier, _ = gait["multipliers"][0]
+        assert multiplier == pytest.approx(-1, abs=1e-11)
+
+        angle = found["stance_angle"][k]
+        assert gait["stance_angle"] == pytest.approx(angle, rel=1e-12)
+
+
+def long_gait(**keys):
+    """The long gait of D on level ground."""
+    asked = {
+        "walker": "D",
+        "slope": 0.0,
+        "set": keys,
+    }
+    for gait in solve_one(asked)["gaits"]:
+        if gait["gait"] == "long":
+            return gait
+    raise AssertionError(keys)

@@ -157,7 +157,7 @@ def test_a_lost_neighbour_changes_no_bit(name, trouble):
     for field in (
         "image",
         "jacobian",
-        "by_slope",
+        "by_drive",
         "inverse",
         "newton",
         "times",

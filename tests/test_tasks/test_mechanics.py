@@ -144,7 +144,7 @@ def test_the_exact_jacobian_is_the_difference_quotient(name):
         - (image(y, slope + 2 * h).image - image(y, slope - 2 * h).image)
     ) / (12 * h)
     np.testing.assert_allclose(
-        d[:, 0], base.by_slope[:, 0], rtol=0, atol=1e-9 * np.abs(base.by_slope).max()
+        d[:, 0], base.by_drive[:, 0], rtol=0, atol=1e-9 * np.abs(base.by_drive).max()
     )
 
 

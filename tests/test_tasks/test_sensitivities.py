@@ -154,3 +154,74 @@ def test_wrong_questions_are_refused_in_a_line(asked, said):
         gaitsweep.sensitivities("C", **{"slope": 0.01, **asked})
 
     assert str(refused.value).startswith(said)
+
+
+SLOW = pytest.mark.thorough
+
+
+@pytest.mark.parametrize(
+    ("walker", "slope", "keys", "by"),
+    [
+        ("D", 0.0, {"push_off": 0.1}, ["push_off"]),
+        pytest.param("B", -0.005, {"push_off": 0.1}, ["push_off"], marks=SLOW),
+        pytest.param(
+            "B",
+            0.0,
+            {"push_off": 0.1, "hip_stiffness": 0.02, "hip_rest": 0.1},
+            ["push_off", "hip_stiffness", "hip_rest", "hip_torque", "R"],
+            marks=SLOW,
+        ),
+        pytest.param("C", 0.0, {"hip_torque": 0.02}, ["hip_torque", "R"], marks=SLOW),
+    ],
+)
+def test_gaits_of_driven_walkers_are_differentiated_on_level_ground(
+    walker, slope, keys, by
+):
+    """By differences of single solves, of the slope and of all keys."""
+    names = ["stance_angle", "period", "cost_of_transport"]
+    found = gaitsweep.sensitivities(walker, slope, keys=by, variables=names, **keys)
+    own, h = resolve(walker, keys), 1e-5
+
+    for key in found.key.values.tolist():
+        value = slope if key == "slope" else getattr(own, key)
+        lower, upper = value - h, value + h
+        less, more = (
+            gaitsweep.gaits(
+                walker,
+                other if key == "slope" else slope,
+                variables=names,
+                **(keys if key == "slope" else {**keys, key: other}),
+            )
+            for other in (lower, upper)
+        )
+        for name in names:
+            difference = (more[name] - less[name]).sel(gait="long") / (upper - lower)
+            exact = found[name].sel(key=key, gait="long")
+            np.testing.assert_allclose(exact, difference, rtol=2e-4)
+
+
+@SLOW
+def test_archived_derivatives_on_level_ground_are_those_of_single_calls(tmp_path):
+    text = """
+name = "s"
+walker = "B"
+[axes]
+slope = [-0.001, 0.0, 0.01]
+push_off = [0.1]
+[want]
+variables = ["stance_angle", "period", "speed", "sensitivities"]
+"""
+    path = tmp_path / "s.toml"
+    path.write_text(text)
+    archive = gaitsweep.run(path, jobs=1, archive=tmp_path / "s.nc", quiet=True)
+
+    for slope in archive.slope.values.tolist():
+        one = gaitsweep.sensitivities("B", slope, push_off=0.1)
+        stored = archive.sel(slope=slope).squeeze()
+        for key in ("slope", "R", "m_t"):
+            for name in ("period", "speed"):
+                np.testing.assert_allclose(
+                    stored[f"{name}_by_key"].sel(gait="long", key=key),
+                    one[name].sel(gait="long", key=key),
+                    rtol=1e-7,
+                )

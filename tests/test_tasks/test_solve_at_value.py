@@ -11,6 +11,8 @@ from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas
 
+SLOW = pytest.mark.thorough
+
 
 def at(walker, measure, value, **more):
     return solve_at_value(
@@ -127,3 +129,52 @@ def test_measures_of_knees_are_for_knees():
     assert not {"branch", "status", "proved", "violations"} & set(kneed)
     locked = measures(resolve("C", {"trailing_knee": "locked"}))
     assert {*locked} - {*kneed} == {"unlocking_impulse_trailing"}
+
+
+@pytest.mark.parametrize(
+    ("walker", "keys", "vary", "between", "slope"),
+    [
+        ("B", {}, "push_off", (0.0, 0.3), 0.0),
+        pytest.param("B", {}, "push_off", (0.05, 0.3), -0.01, marks=SLOW),
+        pytest.param("B", {"push_off": 0.15}, "m_h", (0.05, 2.0), 0.0, marks=SLOW),
+        pytest.param("C", {}, "hip_torque", (0.005, 0.2), 0.0, marks=SLOW),
+    ],
+)
+def test_keys_are_found_on_level_ground(walker, keys, vary, between, slope):
+    value = 0.2 if walker == "B" else 0.08
+    asked = {"set": keys, "vary": vary, "between": between, "slope": slope}
+    found = at(walker, "froude_speed", value, **asked)["gaits"]
+
+    assert found
+    for gait in found:
+        there = {"walker": walker, "slope": slope, "set": {**keys, vary: gait[vary]}}
+        others = solve_one(there)["gaits"]
+        (other,) = [one for one in others if one["gait"] == gait["gait"]]
+        assert other["froude_speed"] == pytest.approx(value, rel=1e-12)
+        assert other["loss_normal"] == pytest.approx(gait["loss_normal"], rel=1e-11)
+        assert gait["slope"] == slope and gait["error_bound"] < 1e-12
+
+
+@SLOW
+def test_slopes_that_lead_up_and_down_are_searched_as_one_range():
+    """By the speeds of single solves on both sides of each."""
+    asked = {"set": {"push_off": 0.1}, "between": (-0.1, 0.05)}
+    slopes = []
+    for value in (0.15, 0.23):
+        found = at("B", "froude_speed", value, **asked)["gaits"]
+        assert len(found) == 2
+        for gait in found:
+            slopes.append(gait["slope"])
+            for beside, is_faster in ((1e-4, True), (-1e-4, False)):
+                there = {"slope": gait["slope"] + beside, "set": {"push_off": 0.1}}
+                others = solve_one({"walker": "B", **there})["gaits"]
+                (speed,) = [
+                    one["froude_speed"] for one in others if one["gait"] == gait["gait"]
+                ]
+                assert (speed > value) == is_faster
+    assert min(slopes) < 0 < max(slopes)
+
+
+def test_a_passive_walker_has_no_gaits_over_slopes_that_lead_up():
+    with pytest.raises(WalkerError, match="`between` must be slopes above 0, as noth"):
+        at("B", "speed", 0.2, between=(-0.1, 0.1))

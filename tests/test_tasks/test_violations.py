@@ -169,6 +169,44 @@ def test_amounts_agree_with_the_derivation_in_maximal_coordinates(name, slope, l
     assert ("release_hyperextends" in flags(found["violations"])) == (over > 1e-12)
 
 
+@pytest.mark.parametrize(
+    ("name", "keys", "slope"),
+    [
+        ("C", {"hip_torque": 0.02, "hip_stiffness": 0.1}, 0.03),
+        pytest.param(
+            "B",
+            {"hip_torque": 0.01, "push_off": 0.02},
+            0.0,
+            marks=pytest.mark.thorough,
+        ),
+    ],
+)
+def test_forces_of_driven_walkers_are_those_of_constraints(name, keys, slope):
+    """The torque between the thighs acts on the stance thigh, too."""
+    (found, *_) = solve_one({"walker": name, "set": keys, "slope": slope})["gaits"]
+    walker = resolve(name, keys)
+    slow = oracle.Oracle(walker.table())
+    rates = [found["stance_rate"], found["thigh_rate"], found["shank_rate"]]
+    rates = rates[: 2 + slow.knees]
+    step = slow.step(found["stance_angle"], rates, slope, samples=600)
+
+    normal = step.force[:, 1].min() / (walker.total_mass * walker.g)
+    assert found["least_normal_force"] == pytest.approx(normal, rel=2e-5)
+    demand = (abs(step.force[:, 0]) / step.force[:, 1]).max()
+    assert found["friction_demand"] == pytest.approx(demand, rel=2e-5)
+    if walker.knees:
+        held = min(_torques_of_the_lock(slow, step, slope))
+        assert found["unlocking_torque"] == pytest.approx(-held, rel=1e-4)
+
+
+def _torques_of_the_lock(slow, step, slope):
+    """The torque that holds the stance knee, at each sample of a step."""
+    locked = step.time >= step.kneestrike_time
+    locked &= abs(step.states[:, 4] - step.states[:, 5]) < 1e-9
+    for state, lock in zip(step.states, locked, strict=True):
+        yield slow.motion(state, slope, lock)[1][10]
+
+
 def test_the_torque_is_that_of_the_lock_at_every_instant():
     # A walker with nothing symmetric about it, so no term can hide.
     walker = Walker(
