@@ -13,10 +13,12 @@ import numpy as np
 from gaitsweep.tasks.mechanics.sums import matvec, norm
 from gaitsweep.tasks.orbits.walk import Walk, change
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.step.simulate import CAUSES, STRUCK, stride
+from gaitsweep.tasks.step.simulate import CAUSES, STRUCK, SimulatedSteps, stride
 
 #: Longest period identified, and the name of an orbit with none up to it.
 LONGEST_PERIOD, WALKS_ON = 32, "walks on"
+#: What an orbit is called that repeats after 1, 2, … steps.
+_PERIODS = np.array([f"period {p}" for p in range(1, LONGEST_PERIOD + 1)])
 #: Relative change after a period up to which an orbit no longer changes, and up to
 #: which it repeats if it changes so little after twice the period too.
 _AT_REST, _REPEATS = 1e-11, 1e-5
@@ -50,33 +52,41 @@ class Neighbourhoods:
         m, n = y.shape
         self.y, self.radius = y, np.zeros(n)
         self._coordinates = np.full((m, m, n), np.nan, complex)
+
         at = stride(problem, y, slope)
-        lanes = np.flatnonzero(at.outcome == STRUCK)
-        values, vectors = np.linalg.eig(np.moveaxis(at.jacobian[:, :, lanes], -1, 0))
+        steps = np.flatnonzero(at.outcome == STRUCK)
+        values, vectors = np.linalg.eig(np.moveaxis(at.jacobian[:, :, steps], -1, 0))
         radius = np.abs(values).max(axis=1)
-        good = (radius < 1) & (np.abs(np.linalg.det(vectors)) > _MIN_VOLUME)
-        lanes, radius, values = lanes[good], radius[good], values[good]
-        vectors = vectors[good] * norm(y[:, lanes])[:, None, None]
+        captures = (radius < 1) & (np.abs(np.linalg.det(vectors)) > _MIN_VOLUME)
+
+        lanes = steps[captures]
+        vectors = vectors[captures] * norm(y[:, lanes])[:, None, None]
         self._coordinates[:, :, lanes] = np.moveaxis(np.linalg.inv(vectors), 0, -1)
-        # Real and imaginary part stand for the vectors of a pair.
-        real = np.where(values.imag[:, None] >= 0, vectors.real, vectors.imag)
-        sums = np.array(list(itertools.product((0, 1), repeat=m))[1:])
-        off = _NEAR * matvec(
-            real.transpose(1, 2, 0)[:, :, None], sums.T[..., None]
-        ).swapaxes(1, 2).reshape(m, -1)
-        each = np.repeat(lanes, len(sums))
-        image = stride(
-            problem.some(each), y[:, each] + off, slope[each], exact=False
-        ).image
+        off = _sums_of_eigenvectors(values[captures], vectors)
+        curvature = self._curvature(problem, at, slope, lanes, off)
+        shortened = 0.5 * (1 - radius[captures]) / (_SAFETY * curvature)
+        self.radius[lanes] = np.minimum(np.nan_to_num(shortened), _NEAR)
+
+    def _curvature(
+        self,
+        problem: Problem,
+        at: SimulatedSteps,
+        slope: np.ndarray,
+        lanes: np.ndarray,
+        off: np.ndarray,
+    ) -> np.ndarray:
+        """Curvature of the step map at the gaits of some lanes (k,): the largest over
+        deviations from each, shape (m, k, deviations), by the step `at` it.
+        """
+        m, k, count = off.shape
+        off = off.reshape(m, -1)
+        each = np.repeat(lanes, count)
+        start = self.y[:, each] + off
+        image = stride(problem.some(each), start, slope[each], exact=False).image
+
         rest = image - at.image[:, each] - matvec(at.jacobian[:, :, each], off)
-        curvature = (
-            (self._size(rest, each) / self._size(off, each) ** 2)
-            .reshape(-1, len(sums))
-            .max(axis=1)
-        )
-        self.radius[lanes] = np.minimum(
-            np.nan_to_num(0.5 * (1 - radius) / (_SAFETY * curvature)), _NEAR
-        )
+        ratio = self._size(rest, each) / self._size(off, each) ** 2
+        return np.asarray(ratio.reshape(k, count).max(axis=1))
 
     def some(self, lanes: np.ndarray) -> Neighbourhoods:
         """Return those of some lanes (k,)."""
@@ -107,6 +117,18 @@ class Neighbourhoods:
         )
 
 
+def _sums_of_eigenvectors(values: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Deviations along the sums of some of the eigenvectors, shape (m, k, 2^m - 1), from
+    eigenvalues (k, m) and eigenvectors (k, m, m).
+    """
+    m = values.shape[1]
+    # Real and imaginary part stand for the vectors of a pair.
+    real = np.where(values.imag[:, None] >= 0, vectors.real, vectors.imag)
+    some = np.array(list(itertools.product((0, 1), repeat=m))[1:])
+    sums = matvec(real.transpose(1, 2, 0)[:, :, None], some.T[..., None])
+    return np.asarray(_NEAR * sums.swapaxes(1, 2))
+
+
 def attractors(
     walk: Walk, homes: Mapping[str, Neighbourhoods], steps: int
 ) -> np.ndarray:
@@ -130,7 +152,6 @@ def attractors(
     """
     n = walk.y.shape[1]
     found = np.full(n, WALKS_ON, "U24")
-    names = np.array([f"period {p}" for p in range(1, LONGEST_PERIOD + 1)])
     seen, seen_at, period = walk.y.copy(), 0, np.zeros(n, int)
     for taken in walk.steps(steps + 2 * LONGEST_PERIOD):
         lanes, elapsed = walk.lanes, taken - seen_at
@@ -140,24 +161,26 @@ def attractors(
             # Beside a flip an orbit alternates while it settles: after twice its period
             # it is at rest much sooner.
             period[lanes[(moved < _REPEATS) & (period[lanes] == 0)]] = elapsed
-        repeats = (taken > steps) & (moved < _REPEATS) & (elapsed == 2 * period[lanes])
+
+        is_twice = elapsed == 2 * period[lanes]
+        repeats = (taken > steps) & (moved < _REPEATS) & is_twice
         known = (period[lanes] > 0) & (repeats | (moved < _AT_REST))
-        found[lanes[known]] = names[period[lanes[known]] - 1]
+        found[lanes[known]] = _PERIODS[period[lanes[known]] - 1]
+
         for name, home in homes.items():
             held = home.hold(y, lanes)
             found[lanes[held]] = name
             known |= held
+
         walk.lanes = lanes[~known]
         if taken == steps or (taken < steps and elapsed == LONGEST_PERIOD):
             seen, seen_at, period = walk.y.copy(), taken, np.zeros(n, int)
-    for (
-        name,
-        home,
-    ) in (
-        homes.items()
-    ):  # beside a flip a neighbourhood may be too small to hold what settles there
-        single = np.flatnonzero(found == names[0])
+
+    # Beside a flip a neighbourhood may be too small to hold what settles there.
+    for name, home in homes.items():
+        single = np.flatnonzero(found == _PERIODS[0])
         found[single[home.lie_near(walk.y[:, single], single)]] = name
+
     fell = walk.outcome != STRUCK
     found[fell] = np.array(CAUSES)[walk.outcome[fell]]
     return found

@@ -55,24 +55,30 @@ def labelled(
         of the gaits there as `places` has them, -1 where none was found and verified to
         be a step; and these gaits.
     """
-    found, keys = [], []
+    found = []
+    angles, ratios = [], []
     for branch in branches:
         for index, Z, segment in branch.guesses(np.log(slope)):
             guesses = branch.known_guesses(Z, segment, slope[index])
             at = settle_on_branches(problem, guesses, [(problem, branch, segment)])
-            converged, key = at.converged & at.step, np.full((2, len(slope)), np.nan)
+            verified = at.converged & at.step
+            found.append((index, verified, at))
+
             # As in `points`, one that is lost still counts for the labels of the
             # others, as its branch's gait.
-            key[0, index] = np.where(~at.step | (at.leg_passes == 1), Z[0], np.nan)
-            key[1, index] = np.where(
-                converged, gait_ratio(at.stride), branch.ratio_on(segment)
-            )
-            found.append((index, converged, at))
-            keys.append(key)
-    every = places(*np.array(keys).reshape(-1, 2, len(slope)).swapaxes(0, 1))
+            angle, ratio = np.full((2, len(slope)), np.nan)
+            is_anthropomorphic = ~at.step | (at.leg_passes == 1)
+            angle[index] = np.where(is_anthropomorphic, Z[0], np.nan)
+            of_branch = branch.ratio_on(segment)
+            ratio[index] = np.where(verified, gait_ratio(at.stride), of_branch)
+            angles.append(angle)
+            ratios.append(ratio)
+
+    shape = (len(found), len(slope))
+    every = places(np.reshape(angles, shape), np.reshape(ratios, shape))
     return [
-        (index, np.where(ok, place[index], -1), at)
-        for place, (index, ok, at) in zip(every, found, strict=True)
+        (index, np.where(verified, place[index], -1), at)
+        for place, (index, verified, at) in zip(every, found, strict=True)
     ]
 
 
@@ -98,7 +104,8 @@ def gaits_at(
     """
     sections = np.full((problem.m, len(slope)), np.nan)
     for index, place, at in labelled(problem, branches, slope):
-        own = place == GAITS.index(label)
-        sections[:, index[own]] = (at.y * at.scale)[:, own]
+        is_labelled = place == GAITS.index(label)
+        sections[:, index[is_labelled]] = (at.y * at.scale)[:, is_labelled]
+
     known = np.flatnonzero(np.isfinite(sections).all(axis=0))
     return known, sections[:, known]

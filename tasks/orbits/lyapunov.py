@@ -35,11 +35,13 @@ def orthogonalised(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         for _ in range(2):
             for j in range(k):
                 v = v - _dot(Q[:, j], v) * Q[:, j]
+
         size = np.sqrt(_dot(v, v))
         diagonal[k] = size
         # A direction that the map takes to zero has no image: zero stands for it, and
         # its exponent is minus infinity.
-        Q[:, k] = np.where(size > 0, v / np.where(size > 0, size, 1.0), 0.0)
+        has_image = size > 0
+        Q[:, k] = np.where(has_image, v / np.where(has_image, size, 1.0), 0.0)
     return Q, diagonal
 
 
@@ -71,11 +73,8 @@ class Exponents:
         """Begin with all m directions of n lanes, their growth to be summed in so many
         blocks.
         """
-        return cls(
-            np.repeat(np.eye(m)[:, :, None], n, axis=2),
-            np.zeros((blocks, m, n)),
-            np.zeros(blocks, int),
-        )
+        Q = np.repeat(np.eye(m)[:, :, None], n, axis=2)
+        return cls(Q, np.zeros((blocks, m, n)), np.zeros(blocks, int))
 
     def step(self, J: np.ndarray, lanes: np.ndarray, block: int | None) -> None:
         """Map the directions of some lanes by one step.
@@ -88,9 +87,9 @@ class Exponents:
         block : int or None
             Block that counts their growth; None while they still converge.
         """
-        self.Q[:, :, lanes], growth = orthogonalised(
-            total(J[:, i : i + 1] * q for i, q in enumerate(self.Q[:, :, lanes]))
-        )
+        Q = self.Q[:, :, lanes]
+        image = total(J[:, i : i + 1] * q for i, q in enumerate(Q))
+        self.Q[:, :, lanes], growth = orthogonalised(image)
         if block is not None:
             with np.errstate(divide="ignore"):
                 self.blocks[block][:, lanes] += np.log(growth)
@@ -126,8 +125,8 @@ def estimate(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     flat = np.moveaxis(means, 1, 0).reshape(means.shape[1], -1)
     count = flat.shape[1]
+    deviation = np.full(len(flat), np.nan)
     with np.errstate(invalid="ignore"):
-        deviation = (
-            np.std(flat, axis=1, ddof=1) if count > 1 else np.full(len(flat), np.nan)
-        )
+        if count > 1:
+            deviation = np.std(flat, axis=1, ddof=1)
         return np.mean(flat, axis=1), deviation / np.sqrt(count)
