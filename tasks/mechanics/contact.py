@@ -14,6 +14,7 @@ elementwise operations only: this measures motions that are already known.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -35,34 +36,43 @@ class Chain:
     """
 
     def __init__(self, walker: Walker):
-        leg, mass = walker.leg, walker.total_mass
         self.kneed, self.massless = walker.knees, walker.massless_leg
         self.locks_trailing_knee = walker.locks_trailing_knee
         self.frees_trailing_knee = walker.frees_trailing_knee
-        self.R, self.l = walker.R / leg, walker.l / leg
-        knee = walker.knee / leg
-        thigh = walker.thigh_centre / leg
-        shank = walker.shank_centre / leg
+
+        self.R, self.l = walker.R / walker.leg, walker.l / walker.leg
+        knee = walker.knee / walker.leg
         #: Foot centre from the knee, in the frame of the extended leg.
         self.foot = -1j * self.l - knee
         #: From foot centre to foot centre, link by link.
         self.to_foot = (-self.foot, -knee, knee, self.foot)
-        m_t, m_s = walker.m_t / mass, walker.m_s / mass
-        rows = [
-            [shank - self.foot, 0, 0, 0],
-            [-self.foot, thigh - knee, 0, 0],
-            [-self.foot, -knee, 0, 0],
-            [-self.foot, -knee, thigh, 0],
-            [-self.foot, -knee, knee, shank],
+
+        self._weigh(walker, knee)
+        self._drive(walker)
+
+    def _weigh(self, walker: Walker, knee: complex | np.ndarray) -> None:
+        """Set first moments and products of the arms of the centres of mass."""
+        leg, mass = walker.leg, walker.total_mass
+        foot = self.foot
+        thigh = walker.thigh_centre / leg
+        shank = walker.shank_centre / leg
+        #: Of stance shank, stance thigh, hip, swing thigh and swing shank.
+        centres = [
+            [shank - foot, 0, 0, 0],
+            [-foot, thigh - knee, 0, 0],
+            [-foot, -knee, 0, 0],
+            [-foot, -knee, thigh, 0],
+            [-foot, -knee, knee, shank],
         ]
-        I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
+        m_t, m_s, m_h = walker.m_t / mass, walker.m_s / mass, walker.m_h / mass
+        I_t = m_t * (walker.r_t / leg) ** 2
+        I_s = m_s * (walker.r_s / leg) ** 2
+
+        # Of an array of walkers those constants that all share are numbers.
         shape = np.shape(leg + mass + I_t + I_s + 0 * (knee + thigh + shank))
-        arms = np.array([[np.broadcast_to(arm, shape) for arm in row] for row in rows])
-        masses = np.array(
-            [np.broadcast_to(m, shape) for m in (m_s, m_t, walker.m_h / mass, m_t, m_s)]
-        )
-        #: First moments and products of the arms; a massless leg's own rows are those
-        #: of a shank of unit mass.
+        arms = np.stack([_of_shape(shape, row) for row in centres])
+        masses = _of_shape(shape, [m_s, m_t, m_h, m_t, m_s])
+
         self.S = total(masses[:, None] * arms)
         self.K = total(
             arm.conj()[:, None] * mass * arm
@@ -70,10 +80,12 @@ class Chain:
         )
         for i, inertia in enumerate((I_s, I_t, I_t, I_s)):
             self.K[i, i] += inertia
+
+        #: First moments in the links' own equations of motion: a massless leg's rows are
+        #: those of a shank of unit mass.
         self.S_rows = self.S.copy()
         if self.massless:
             self._take_shank_of_unit_mass(arms[4], walker.r_s / leg)
-        self._drive(walker)
 
     def _drive(self, walker: Walker) -> None:
         """Set what acts between the thighs."""
@@ -83,13 +95,13 @@ class Chain:
         unit: Any = 1.0 / weight_leg
         unit_of_damping = unit / walker.time_unit
         if self.massless:
-            of_leg = [self.K[i, j] for i in (2, 3) for j in (2, 3)]
+            of_leg = self.K[2:, 2:].reshape(4, *self.K.shape[2:])
             unit = unit_of_damping = total(of_leg).real
+
         self.hip_stiffness = walker.hip_stiffness * unit
         self.hip_damping = walker.hip_damping * unit_of_damping
-        self.hip_bias = (
-            walker.hip_stiffness * walker.hip_rest + walker.hip_torque
-        ) * unit
+        at_rest = walker.hip_stiffness * walker.hip_rest
+        self.hip_bias = (at_rest + walker.hip_torque) * unit
 
     def hip_torque(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Torque between the thighs, on the swing leg; of a massless one over its
@@ -128,6 +140,8 @@ class Chain:
         M = []
         for i in range(4):
             M.append([(self.K[i, j] * e[i].conj() * e[j]).real for j in range(4)])
+
+        # As the stance shank turns, its foot rolls and moves every link along the slope.
         for j in range(4):
             M[0][j] = M[0][j] + self.R * (self.S[j] * e[j]).imag
             M[j][0] = M[j][0] + self.R * (self.S_rows[j] * e[j]).imag
@@ -157,9 +171,12 @@ class Chain:
                 rate[j] ** 2 * (self.K[i, j] * e[i].conj() * e[j]).imag
                 for j in range(4)
             )
-            f.append(((1j * self.S_rows[i] * e[i]).conj() * gravity).real + turning)
+            weight = ((1j * self.S_rows[i] * e[i]).conj() * gravity).real
+            f.append(weight + turning)
+
         pull = gravity + total(rate[j] ** 2 * self.S[j] * e[j] for j in range(4))
         f[0] = f[0] - self.R * pull.real
+
         if self.acts:
             torque = self.hip_torque(q, rate)
             f[2] = f[2] + torque
@@ -185,10 +202,8 @@ class Chain:
         """
         f, groups = self.force(q, rate, slope), self.groups(free_knee)
         x = solve(_group(self.matrix(q), groups), _of_groups(f, groups))
-        links = [
-            [acceleration] * len(g) for acceleration, g in zip(x, groups, strict=True)
-        ]
-        return np.concatenate(links)
+        sizes = [len(group) for group in groups]
+        return np.repeat(np.stack(x), sizes, axis=0)
 
     def momentum(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Linear momentum, complex, over mass and sqrt(leg g).
@@ -201,8 +216,7 @@ class Chain:
         -------
         ndarray of complex, shape (...)
         """
-        levers = self.levers(q)
-        return total(rate[j] * levers[j] for j in range(4))
+        return total(rate * self.levers(q))
 
     def levers(self, q: np.ndarray) -> np.ndarray:
         """Linear momentum, complex, that a unit rate of each link gives.
@@ -216,12 +230,9 @@ class Chain:
         ndarray of complex, shape (4, ...)
         """
         e = np.exp(1j * q)
-        return np.stack(
-            [
-                1j * self.S[0] * e[0] - self.R,
-                *(1j * self.S[j] * e[j] for j in (1, 2, 3)),
-            ]
-        )
+        levers = [1j * S * own for S, own in zip(self.S, e, strict=True)]
+        levers[0] = levers[0] - self.R
+        return np.stack(levers)
 
     def ground_force(
         self,
@@ -347,6 +358,11 @@ class Chain:
         return total(self.rise(q) * acceleration) - turning
 
 
+def _of_shape(shape: tuple[int, ...], values: Sequence[Any]) -> np.ndarray:
+    """Numbers and arrays as one array, (n, *shape)."""
+    return np.stack([np.broadcast_to(value, shape) for value in values])
+
+
 def _group(
     M: list[list[np.ndarray]], groups: list[list[int]]
 ) -> list[list[np.ndarray]]:
@@ -388,6 +404,7 @@ def solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
             b[i] = b[i] - factor * b[k]
             for j in range(k):
                 A[i][j] = A[i][j] - factor * A[k][j]
+
     x: list[np.ndarray] = []
     for i in range(n):
         for j in range(i):
