@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import heyoka as hy
@@ -80,41 +80,77 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
         If the walker or the state is invalid.
     """
     start = begin(params)
-    problem, parameters, x = start.problem, start.parameters, start.x
-    walker, scale = problem.walker, parameters[1, 0]
-    n, phases, time_unit = int(params["steps"]), problem.phases, walker.time_unit
-    states, times = np.full((n + 1, 6), np.nan), np.full((n, phases), np.nan)
-    when = _sampling(params, time_unit)
-    motion = []
-    outcome, taken, locked = STRUCK, 0, start.locked
-    for k in range(n + 1):
-        states[k] = _all_angles(x) * scale
-        if k == n:
-            break
-        push = np.array(params.get("pushes", {}).get(k, (0.0, 0.0)))
-        x = _push(x, push * time_unit / scale)
-        height = float(params.get("ground", {}).get(k, 0.0)) / walker.l
-        step = take_step(problem, x, parameters[:, 0], height, when, locked)
+    walker, scale = start.problem.walker, start.parameters[1, 0]
+    when = _sampling(params, walker.time_unit)
+    taken = _take_steps(start, params, when)
+
+    result = _of_steps(taken.states, taken.times, walker.time_unit)
+    result["cause"] = CAUSES[taken.outcome]
+    result["steps_taken"] = taken.count
+    result["above_ground_of"] = start.ground
+    if isinstance(when, _Series):
+        result["series"] = _series(walker, taken.motion, taken.times, scale)
+    elif when:
+        result |= _of_phases(walker, taken.motion, taken.times.shape, scale)
+    return result
+
+
+@dataclass
+class _Taken:
+    """Steps taken, of n.
+
+    Attributes
+    ----------
+    states : ndarray, shape (n + 1, 6) [rad, rad/sqrt(leg/g)]
+        Angles and rates of three links before each step and after the last; NaN after a
+        fall.
+    times : ndarray, shape (n, phases) [sqrt(leg/g)]
+        Of the strikes since the start of the step.
+    motion : list of list of ndarray
+        Samples of each phase of each step, scaled.
+    count : int
+        How many were taken.
+    outcome : int
+        Of the last one, index of CAUSES.
+    """
+
+    states: np.ndarray
+    times: np.ndarray
+    motion: list[list[np.ndarray]] = field(default_factory=list)
+    count: int = 0
+    outcome: int = STRUCK
+
+
+def _take_steps(
+    start: Start, params: Mapping[str, Any], when: Sampling | None
+) -> _Taken:
+    """Take steps with their pushes and ground, until the walker falls."""
+    problem, parameters = start.problem, start.parameters[:, 0]
+    walker, scale = problem.walker, parameters[1]
+    n, phases = int(params["steps"]), problem.phases
+    pushes, ground = params.get("pushes", {}), params.get("ground", {})
+
+    taken = _Taken(np.full((n + 1, 6), np.nan), np.full((n, phases), np.nan))
+    taken.states[0] = _all_angles(start.x) * scale
+    x, locked = start.x, start.locked
+    for k in range(n):
+        push = np.array(pushes.get(k, (0.0, 0.0))) * walker.time_unit / scale
+        height = float(ground.get(k, 0.0)) / walker.l
+        step = take_step(problem, _push(x, push), parameters, height, when, locked)
+
         first = phases - 1 if locked else 0
-        times[k, first : first + len(step.times)] = step.times
-        motion.append(step.motion)
-        outcome, locked = step.outcome, False
-        if outcome != STRUCK:
+        taken.times[k, first : first + len(step.times)] = step.times
+        taken.motion.append(step.motion)
+        taken.outcome, locked = step.outcome, False
+        if step.outcome != STRUCK:
             break
-        taken, x = k + 1, step.state
+
+        x = step.state
+        taken.count = k + 1
+        taken.states[k + 1] = _all_angles(x) * scale
         if isinstance(when, _Series):
             when.began += step.times[-1]
-
-    result = _of_steps(states, times, time_unit) | {
-        "cause": CAUSES[outcome],
-        "steps_taken": taken,
-        "above_ground_of": start.ground,
-    }
-    if isinstance(when, _Series):
-        result["series"] = _series(walker, motion, times, scale)
-    elif when:
-        result |= _of_phases(walker, motion, n, phases, scale)
-    return result
+    return taken
 
 
 def _of_steps(
@@ -143,9 +179,13 @@ def _sampling(params: Mapping[str, Any], time_unit: float) -> Sampling | None:
 
 
 def _of_phases(
-    walker: Walker, motion: list[list[np.ndarray]], n: int, phases: int, scale: float
+    walker: Walker,
+    motion: list[list[np.ndarray]],
+    shape: tuple[int, ...],
+    scale: float,
 ) -> dict[str, Any]:
-    """Samples of each phase of n steps, in the walker's units."""
+    """Samples of each phase of n steps, shape (n, phases), in the walker's units."""
+    n, phases = shape
     samples = np.full((n, 4, phases, SAMPLES + 1), np.nan)
     for k, of_step in enumerate(motion):
         first = phases - len(of_step) if k == 0 and len(of_step) < phases else 0
