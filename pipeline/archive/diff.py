@@ -281,11 +281,11 @@ def _matching_rows(
     if not all("row" in table.sizes and "slope" in table for table in (x, y)):
         return rows
 
-    slopes = [
+    p, q = (
         np.unique(table["slope"].values[kept])
         for table, kept in zip((x, y), rows, strict=True)
-    ]
-    if not np.array_equal(*slopes):
+    )
+    if not np.array_equal(p, q):
         return rows
     return _rows(x, shared, by_slope=True), _rows(y, shared, by_slope=True)
 

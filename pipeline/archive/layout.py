@@ -40,11 +40,8 @@ def variables(parent: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 def tables(file: Any) -> list[str]:
     """Names of the tables in an open archive, as "fits/scaling"."""
-    return list(
-        dict.fromkeys(
-            name.rpartition("/")[0] for name, _ in variables(file) if "/" in name
-        )
-    )
+    columns = [name for name, _ in variables(file) if "/" in name]
+    return list(dict.fromkeys(name.rpartition("/")[0] for name in columns))
 
 
 def split(
@@ -68,11 +65,10 @@ def split(
         Its values; at the end of the variable they are fewer than `extent`.
     """
     start = (*(s.start for s in box), *(0,) * (values.ndim - len(box)))
-    for part in boxes({str(k): n for k, n in enumerate(values.shape)}, extent, 0):
-        yield (
-            tuple(a + span.start for a, span in zip(start, part, strict=True)),
-            values[part],
-        )
+    sizes = {str(k): n for k, n in enumerate(values.shape)}
+    for part in boxes(sizes, extent, 0):
+        corner = tuple(a + span.start for a, span in zip(start, part, strict=True))
+        yield corner, values[part]
 
 
 def chunk_checksum(checksum: int, corner: tuple[int, ...]) -> int:
@@ -86,9 +82,8 @@ def chunk_checksum(checksum: int, corner: tuple[int, ...]) -> int:
     corner : tuple of int
         Start of the chunk in the variable.
     """
-    return zlib.crc32(
-        checksum.to_bytes(4, "little"), zlib.crc32(",".join(map(str, corner)).encode())
-    )
+    of_corner = zlib.crc32(",".join(map(str, corner)).encode())
+    return zlib.crc32(checksum.to_bytes(4, "little"), of_corner)
 
 
 def checksum(values: np.ndarray) -> int:

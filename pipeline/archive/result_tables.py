@@ -38,37 +38,38 @@ def write(file: Any, plan: Plan) -> None:
     reasons.
     """
     for name, layer in plan.graph.layers.items():
-        if name in registry.INTERNAL or (
-            name in registry.OPTIONS and name != plan.study.kind
-        ):
-            continue
-        parts: dict[str, list[tuple[np.ndarray, Columns]]] = {}
-        for coordinates, key, numbers in _task_runs(plan, name, layer.per_line):
-            tables = split(plan.store.result(key) or {})
-            tables.pop("nothing", None)  # its reason is the line's
-            for group, columns in tables.items():
-                parts.setdefault(group, []).append(
-                    (numbers, {**_repeat(coordinates, columns), **columns})
-                )
-        for group in sorted(parts):
-            places, tables_of_jobs = zip(*parts[group], strict=True)
-            columns = _stack(tables_of_jobs)
-            if plan.study.kind == name == "design":
-                # Jobs go through the grid cell by cell, rows line by line.
-                order = np.argsort(np.concatenate(places), kind="stable")
-                columns = {name: values[order] for name, values in columns.items()}
-            _group(file, plan, group, columns)
-    if failures := list(failed(plan)):
-        columns = dict(
-            zip(
-                ("task", "outcome", "reason"),
-                map(np.array, zip(*failures, strict=True)),
-                strict=True,
-            )
-        )
-        _group(file, plan, "failed_tasks", columns)
+        is_of_another_kind = name in registry.OPTIONS and name != plan.study.kind
+        if name not in registry.INTERNAL and not is_of_another_kind:
+            _write_task(file, plan, name, layer.per_line)
+
+    failures = [*failed(plan)]
+    if failures:
+        columns = zip(*failures, strict=True)
+        names = ("task", "outcome", "reason")
+        tables = dict(zip(names, map(np.array, columns), strict=True))
+        _group(file, plan, "failed_tasks", tables)
     if plan.study.overlay:
         _group(file, plan, "overlay", dict(plan.study.overlay))
+
+
+def _write_task(file: Any, plan: Plan, name: str, per_line: bool) -> None:
+    """Write the tables of one task, over all its jobs."""
+    parts: dict[str, list[tuple[np.ndarray, Columns]]] = {}
+    for coordinates, key, numbers in _task_runs(plan, name, per_line):
+        tables = split(plan.store.result(key) or {})
+        tables.pop("nothing", None)  # its reason is the line's
+        for group, columns in tables.items():
+            whole = {**_repeat(coordinates, columns), **columns}
+            parts.setdefault(group, []).append((numbers, whole))
+
+    for group in sorted(parts):
+        places, tables_of_jobs = zip(*parts[group], strict=True)
+        columns = _stack(tables_of_jobs)
+        if plan.study.kind == name == "design":
+            # Jobs go through the grid cell by cell, rows line by line.
+            order = np.argsort(np.concatenate(places), kind="stable")
+            columns = {column: values[order] for column, values in columns.items()}
+        _group(file, plan, group, columns)
 
 
 def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:

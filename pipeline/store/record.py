@@ -31,9 +31,8 @@ _REASON = np.dtype("u8")
 @functools.lru_cache(4096)
 def sentence_number(sentence: str) -> int:
     """Number that stands for a sentence."""
-    return int.from_bytes(
-        hashlib.blake2b(sentence.encode(), digest_size=8).digest(), "little"
-    )
+    digest = hashlib.blake2b(sentence.encode(), digest_size=8).digest()
+    return int.from_bytes(digest, "little")
 
 
 def _dtype_of(name: str) -> np.dtype:
@@ -71,98 +70,75 @@ class Points:
             If a variable has not the shape of the points, or they are not those of the
             lines.
         """
-        results = (
-            [result for _, result in returned] if "lines" in params else [returned]
-        )
-        parts, count = (
-            list[Points](),
-            len(params.get("lines", [None])) * len(params["slope"]),
-        )
-        for result in results:
-            names = (
-                "status",
-                *(name for name in params["want"] if name not in ("status", "reason")),
-            )
-            values = {
-                name: np.asarray(result[name], VARIABLES[name].dtype) for name in names
-            }
-            for name, array in values.items():
-                if array.shape[:2] != values["status"].shape:
-                    raise ValueError(
-                        f"`{name}` has shape {array.shape}, `status` {values['status'].shape}"
-                    )
-            sentences = [str(sentence) for sentence in result["reasons"]] or [""]
-            reason = np.asarray(result["reason"])
-            occurs = np.flatnonzero(
-                np.bincount(reason.ravel(), minlength=len(sentences))
-            ).tolist()
-            numbers = np.array(
-                [sentence_number(sentence) for sentence in sentences], _REASON
-            )
-            parts.append(
-                cls(
-                    {**values, "reason": numbers[reason]},
-                    {int(numbers[k]): sentences[k] for k in occurs},
-                )
-            )
+        results = [returned]
+        if "lines" in params:
+            results = [result for _, result in returned]
+        parts = [cls._of_result(result, params["want"]) for result in results]
         points = joined(parts) if len(parts) > 1 else parts[0]
+
+        count = len(params.get("lines", [None])) * len(params["slope"])
         if len(points) != count:
             raise ValueError(f"{len(points)} points are returned of {count}")
         return points
+
+    @classmethod
+    def _of_result(cls, result: Mapping[str, Any], want: Iterable[str]) -> "Points":
+        """What a task returns for points of a line."""
+        others = [name for name in want if name not in ("status", "reason")]
+        values: dict[str, np.ndarray] = {}
+        for name in ("status", *others):
+            array = np.asarray(result[name], VARIABLES[name].dtype)
+            values[name] = array
+            shape = values["status"].shape
+            if array.shape[:2] != shape:
+                raise ValueError(f"`{name}` has shape {array.shape}, `status` {shape}")
+
+        sentences = [str(sentence) for sentence in result["reasons"]] or [""]
+        numbers = [sentence_number(sentence) for sentence in sentences]
+        reason = np.asarray(result["reason"])
+        values["reason"] = np.array(numbers, _REASON)[reason]
+
+        occurrences = np.bincount(reason.ravel(), minlength=len(sentences))
+        occurs = np.flatnonzero(occurrences).tolist()
+        return cls(values, {numbers[k]: sentences[k] for k in occurs})
 
     @classmethod
     def of_ending(
         cls, points: int, ending: str, reason: str, want: Iterable[str]
     ) -> "Points":
         """Points whose worker ended so, a name of `statuses.ENDINGS`."""
+        values = {}
+        for name in want:
+            inner = [0 for _ in inner_sizes(name, 0)]
+            values[name] = np.empty((points, 0, *inner), _dtype_of(name))
+
         number, shape = sentence_number(reason), (points, len(GAITS))
-        none = {name: (points, 0, *(0 for _ in inner_sizes(name, 0))) for name in want}
-        values = {
-            name: np.empty(extent, _dtype_of(name)) for name, extent in none.items()
-        }
-        values |= {
-            "status": np.full(shape, ENDINGS[ending], np.int8),
-            "reason": np.full(shape, number, _REASON),
-        }
+        values["status"] = np.full(shape, ENDINGS[ending], np.int8)
+        values["reason"] = np.full(shape, number, _REASON)
         return cls(values, {number: reason})
 
     def take(self, rows: np.ndarray) -> "Points":
         """Some of the points, in that order."""
         if np.array_equal(rows, np.arange(len(self))):
             return self
-        return Points(
-            {name: array[rows] for name, array in self.values.items()}, self.sentences
-        )
-
-
-def rows_of(lines: np.ndarray, slopes: int) -> np.ndarray:
-    """Rows of the points of some lines, by their places, which have so many slopes
-    each.
-    """
-    rows: np.ndarray = (lines[:, None] * slopes + np.arange(slopes)).ravel()
-    return rows
+        values = {name: array[rows] for name, array in self.values.items()}
+        return Points(values, self.sentences)
 
 
 def joined(parts: Sequence[Points], least: tuple[int, int] = (0, 0)) -> Points:
     """Points one after the other; of a variable as many gaits and multipliers as any
     part has, and at least so many.
     """
-    sentences = {
-        number: text for part in parts for number, text in part.sentences.items()
-    }
+    sentences: dict[int, str] = {}
+    for part in parts:
+        sentences.update(part.sentences)
+
     values = {}
     for name in parts[0].values:
         arrays = [part.values[name] for part in parts]
-        shape = tuple(
-            map(
-                max,
-                zip(
-                    least[: arrays[0].ndim - 1],
-                    *(array.shape[1:] for array in arrays),
-                    strict=True,
-                ),
-            )
-        )
+        inner = [array.shape[1:] for array in arrays]
+        sizes = zip(least[: len(inner[0])], *inner, strict=True)
+        shape = tuple(map(max, sizes))
         widened = [_widened(name, array, shape) for array in arrays]
         values[name] = np.concatenate(widened) if len(widened) > 1 else widened[0]
     return Points(values, sentences)

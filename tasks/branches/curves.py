@@ -133,10 +133,14 @@ class _Followed(engine.Tracks):
         """Find the curve's point on the border, between its last point and one beyond
         the window, as its `end`; and whether there is one.
         """
-        f, nearest = len(self.edges), self._nearest_within(beyond.Z)
+        f = len(self.edges)
+        nearest = self._nearest_within(beyond.Z)
         out = np.flatnonzero(nearest != beyond.Z[-f:])
-        shares = ((nearest - self.Z[-f:]) / (beyond.Z - self.Z)[-f:])[out, 0]
-        share, component = min(zip(shares.tolist(), (out - f).tolist(), strict=True))
+        to_edges = (nearest - self.Z[-f:])[out, 0]
+        shares = to_edges / (beyond.Z - self.Z)[-f:][out, 0]
+        # The edge that it crosses first.
+        crossed = zip(shares.tolist(), (out - f).tolist(), strict=True)
+        share, component = min(crossed)
         if share < _BEGINS_THERE:
             return True
 

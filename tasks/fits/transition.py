@@ -57,18 +57,24 @@ def linear_amplitude(
     balance slope angle ~ ratio angle^2 + angle^4 has no term between.
     """
     y = np.log(angle / slope)
-    near = np.abs(y - y[0]) < 0.02
-    last = int(np.argmin(near)) if not near.all() else len(y)
+    is_far = ~(np.abs(y - y[0]) < 0.02)
+    n = int(np.argmax(is_far)) if is_far.any() else len(y)
+    none = math.nan, math.nan, math.nan, n
+    if n < 4:
+        return none
+
     # Many slopes may lie within 2 % of any law.
-    if last < 4 or abs(y[last - 1] - y[0]) > _LINEAR * math.log(
-        slope[last - 1] / slope[0]
-    ):
-        return math.nan, math.nan, math.nan, last
-    design = np.stack([np.ones(last), (slope[:last] / slope[last - 1]) ** 2], axis=1)
-    solution, residual, _, _ = np.linalg.lstsq(design, y[:last], rcond=None)
-    scatter = math.sqrt(residual[0] / (last - 2)) if len(residual) else 0.0
+    largest = slope[n - 1]
+    if abs(y[n - 1] - y[0]) > _LINEAR * math.log(largest / slope[0]):
+        return none
+
+    design = np.stack([np.ones(n), (slope[:n] / largest) ** 2], axis=1)
+    solution, residual, _, _ = np.linalg.lstsq(design, y[:n], rcond=None)
+    scatter = 0.0
+    if len(residual):
+        scatter = math.sqrt(residual[0] / (n - 2))
     error = scatter * math.sqrt(np.linalg.inv(design.T @ design)[0, 0])
-    return float(np.exp(solution[0])), error, float(slope[last - 1]), last
+    return float(np.exp(solution[0])), error, float(largest), n
 
 
 def crossing(linear: float, cube_root: float) -> float:
@@ -122,6 +128,8 @@ def fitted_lines(slope: np.ndarray, angle: np.ndarray, expected: float) -> Fitte
     above = slope > high
     if lower is None or above.sum() < 3:
         return FittedLines(math.nan, low, high)
-    upper = float(np.exp(np.mean(np.log(angle[above]) - np.log(slope[above]) / 3)))
+
+    over_cube_root = np.log(angle[above]) - np.log(slope[above]) / 3
+    upper = float(np.exp(np.mean(over_cube_root)))
     crossing = (upper / lower.amplitude) ** (1 / (lower.exponent - 1 / 3))
     return FittedLines(crossing, low, high, lower.exponent, lower.amplitude, upper)

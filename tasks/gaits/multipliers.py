@@ -35,8 +35,7 @@ def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
     """
     m, n = jacobian.shape[0], jacobian.shape[2]
     values = _of_two(jacobian) if m == 2 else _of_any(jacobian)
-    real, imaginary = values.real, values.imag
-    order = np.lexsort((-imaginary, -real, -np.abs(values)), axis=-1)
+    order = np.lexsort((-values.imag, -values.real, -np.abs(values)), axis=-1)
     padded = np.zeros((n, width), complex)
     padded[:, :m] = np.take_along_axis(values, order, axis=1)
     return padded
@@ -46,7 +45,8 @@ def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
 def _of_two(jacobian: np.ndarray) -> np.ndarray:
     """Eigenvalues (n, 2) of matrices (2, 2, n)."""
     (a, b), (c, d) = jacobian
-    middle, gap = (a + d) / 2, ((a - d) / 2) ** 2 + b * c
+    middle = (a + d) / 2
+    gap = ((a - d) / 2) ** 2 + b * c
     root = np.sqrt(np.abs(gap))
     # The larger root without cancellation, the smaller from the determinant.
     large = middle + np.where(middle < 0, -root, root)
@@ -115,11 +115,10 @@ def characteristic_errors(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray
     """
     m = len(jacobian)
     largest = norm(np.concatenate(jacobian)) + error
-    factors = [np.sqrt(2.0), 1.0] if m == 2 else [np.sqrt(3.0), 4.0, 1.0]
-    powers = [np.ones_like(largest), largest, largest * largest][:m]
-    return np.stack(
-        [factor * power * error for factor, power in zip(factors, powers, strict=True)]
-    )
+    if m == 2:
+        return np.stack([np.sqrt(2.0) * error, largest * error])
+    quadratic = largest * largest
+    return np.stack([np.sqrt(3.0) * error, 4.0 * largest * error, quadratic * error])
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
@@ -142,12 +141,20 @@ def multiplier_changes(values: np.ndarray, change: np.ndarray) -> np.ndarray:
     alternating = change * (-1.0) ** np.arange(m)[:, None]
     moved = np.zeros(values.shape, complex)
     for i in range(m):
-        z = values[:, i]
-        gaps = np.array([z - values[:, k] for k in range(m) if k != i])
-        moved[:, i] = polynomial(alternating, z) / math.prod(gaps)
-        moved[~(np.abs(moved[:, i]) < _SIMPLE * np.abs(gaps).min(axis=0)), i] = 0.0
-    moved.imag[values.imag == 0] = 0.0  # which rounds beside a complex pair
+        gaps = _gaps(values[:, :m], i)
+        by = polynomial(alternating, values[:, i]) / math.prod(gaps)
+        is_simple = np.abs(by) < _SIMPLE * np.abs(gaps).min(axis=0)
+        moved[:, i] = np.where(is_simple, by, 0.0)
+
+    # Beside a complex pair that of a real one rounds.
+    moved.imag[values.imag == 0] = 0.0
     return moved
+
+
+def _gaps(values: np.ndarray, i: int) -> np.ndarray:
+    """Differences of the eigenvalue i of (n, m) from all others, shape (m - 1, n)."""
+    others = [k for k in range(values.shape[1]) if k != i]
+    return np.array([values[:, i] - values[:, k] for k in others])
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
@@ -179,14 +186,12 @@ def multiplier_bounds(values: np.ndarray, error: np.ndarray) -> np.ndarray:
     for i in range(m):
         size = np.abs(values[:, i])
         change = polynomial(error, size)
-        gaps = np.array(
-            [np.abs(values[:, i] - values[:, k]) for k in range(m) if k != i]
-        )
+        gaps = np.abs(_gaps(values[:, :m], i))
         radius = _ROUCHE * change / math.prod(gaps)
+
         on_circle = radius * math.prod(gaps - radius)
-        is_simple = (radius < gaps.min(axis=0)) & (
-            on_circle >= polynomial(error, size + radius)
-        )
+        is_larger = on_circle >= polynomial(error, size + radius)
+        is_simple = (radius < gaps.min(axis=0)) & is_larger
         worst = np.fmax(worst, np.where(is_simple, radius, change ** (1 / m)))
     return np.asarray(worst + np.where(np.isfinite(values[:, 0]), 0.0, np.nan))
 

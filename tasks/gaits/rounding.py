@@ -43,9 +43,11 @@ def reported(
     """
     width = problem.map.start_size
     start = problem.map.start(y, parameters)
-    state, by_y = start[:width], start[width:].reshape(width, -1, y.shape[1])
+    state = start[:width]
+    by_y = start[width:].reshape(width, -1, y.shape[1])
     rows = [0, *range(width // 2, width)]
     values = np.vstack([state[rows], times[-1:]])
+
     by_unknowns = np.zeros((len(values), len(y) + len(times), y.shape[1]))
     by_unknowns[:-1, : by_y.shape[1]] = by_y[rows]
     by_unknowns[-1, -1] = 1.0
@@ -66,9 +68,8 @@ def sensitivity(
     is reported, (o, n).
     """
     residual = residual_sizes(stride.y + stride.newton, len(stride.newton_times))
-    return reported_sizes(values) + matvec(
-        np.abs(by_unknowns), matvec(np.abs(stride.inverse), residual)
-    )
+    moved = matvec(np.abs(stride.inverse), residual)
+    return reported_sizes(values) + matvec(np.abs(by_unknowns), moved)
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
@@ -88,12 +89,14 @@ def characteristic_scale(stride: AnyStride) -> np.ndarray:
     ndarray, shape (d, n)
         d are the coordinates of a section.
     """
-    m, d, size = len(stride.y), len(stride.jacobian), sizes(stride.y)
+    m, d = len(stride.y), len(stride.jacobian)
+    size = sizes(stride.y)
     relative = stride.jacobian * (size[None, :d] / size[:d, None])
     length = norm(np.concatenate(relative))
+    powers = np.cumprod(np.broadcast_to(length, (d, len(length))), axis=0)
+
     by_time = norm(np.concatenate(stride.derivative[:m, m:-1] / size[:, None]))
     slowest = np.abs(stride.closing).min(axis=0) / np.abs(stride.y[0])
-    powers = np.cumprod(np.broadcast_to(length, (d, len(length))), axis=0)
     return np.asarray(powers * (1 + by_time / slowest))
 
 

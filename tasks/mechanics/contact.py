@@ -57,7 +57,7 @@ class Chain:
         thigh = walker.thigh_centre / leg
         shank = walker.shank_centre / leg
         #: Of stance shank, stance thigh, hip, swing thigh and swing shank.
-        centres = [
+        centres: list[list[Any]] = [
             [shank - foot, 0, 0, 0],
             [-foot, thigh - knee, 0, 0],
             [-foot, -knee, 0, 0],

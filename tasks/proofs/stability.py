@@ -27,12 +27,16 @@ def step_derivative(derivative: arb_mat, m: int, events: int) -> arb_mat:
         If the strikes' rates are not told from zero.
     """
     rows = derivative.tolist()
-    guard_x, guard_t, image_x, image_t = (
-        arb_mat([row[part] for row in block])
-        for block in (rows[:events], rows[events:])
-        for part in (slice(0, m), slice(m, m + events))
-    )
+    guards, image = rows[:events], rows[events:]
+    guard_x, guard_t = _split(guards, m, events)
+    image_x, image_t = _split(image, m, events)
     return image_x - image_t * guard_t.inv() * guard_x
+
+
+def _split(rows: list[list[arb]], m: int, events: int) -> tuple[arb_mat, arb_mat]:
+    """Derivatives by section state and by event times."""
+    by_state = arb_mat([row[:m] for row in rows])
+    return by_state, arb_mat([row[m : m + events] for row in rows])
 
 
 def characteristic(matrix: arb_mat) -> list[arb]:
@@ -49,10 +53,9 @@ def characteristic(matrix: arb_mat) -> list[arb]:
     a = matrix.tolist()
     if len(a) == 2:
         return [arb(1), -matrix.trace(), matrix.det()]
-    minors = sum(
-        (a[i][i] * a[j][j] - a[i][j] * a[j][i] for i, j in ((0, 1), (0, 2), (1, 2))),
-        arb(0),
-    )
+    minors = arb(0)
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        minors += a[i][i] * a[j][j] - a[i][j] * a[j][i]
     return [arb(1), -matrix.trace(), minors, -matrix.det()]
 
 
@@ -73,14 +76,14 @@ def multipliers(matrix: arb_mat) -> list[acb]:
         found = matrix.eig()
     except ValueError:
         return []
-    # Conjugates of multipliers are multipliers: one whose conjugate lies in no other
-    # ball is its own.
-    return [
-        z
-        if any(z.conjugate().overlaps(x) for x in found if x is not z)
-        else acb(z.real)
-        for z in found
-    ]
+    return [z if _may_be_paired(z, found) else acb(z.real) for z in found]
+
+
+def _may_be_paired(z: acb, found: list[acb]) -> bool:
+    """Whether a multiplier's conjugate, which is one too, may lie in the ball of another;
+    if not, it is the multiplier itself, which is real.
+    """
+    return any(z.conjugate().overlaps(x) for x in found if x is not z)
 
 
 def is_stable(matrix: arb_mat) -> bool | None:
@@ -108,7 +111,9 @@ def is_stable(matrix: arb_mat) -> bool | None:
         margins.append(1 - p[3] ** 2 - abs(p[3] * p[1] - p[2]))
     if all(x > 0 for x in margins):
         return True
-    return False if any(x < 0 for x in margins[:3]) or _last_fails(margins) else None
+    if any(x < 0 for x in margins[:3]) or _last_fails(margins):
+        return False
+    return None
 
 
 def _last_fails(margins: list[arb]) -> bool:
@@ -130,6 +135,6 @@ def flip_function(matrix: arb_mat) -> arb:
     arb
     """
     rows = matrix.tolist()
-    return arb_mat(
-        [[x + int(i == j) for j, x in enumerate(row)] for i, row in enumerate(rows)]
-    ).det()
+    for i, row in enumerate(rows):
+        row[i] += 1
+    return arb_mat(rows).det()

@@ -33,8 +33,10 @@ def guard(
     if ground is None:
         return x[0] + x[1], x[2] + x[3]
     scale, height = ground
-    mean, mean_rate = 0.5 * scale * (x[0] + x[1]), 0.5 * scale * (x[2] + x[3])
-    apart, apart_rate = 0.5 * scale * (x[1] - x[0]), 0.5 * scale * (x[3] - x[2])
+    half = 0.5 * scale
+    mean, mean_rate = half * (x[0] + x[1]), half * (x[2] + x[3])
+    apart, apart_rate = half * (x[1] - x[0]), half * (x[3] - x[2])
+
     by_mean = np.cos(mean) * np.sin(apart) * mean_rate
     by_apart = np.sin(mean) * np.cos(apart) * apart_rate
     height_of_foot = 2 * np.sin(mean) * np.sin(apart)
@@ -114,7 +116,9 @@ def _first_zero(
         + db * s * s * (s - 1)
     )
     below = (value <= 0) & (s > 0)
-    first, lanes = np.argmax(below, axis=0), np.arange(len(a))
-    high, low = value[np.maximum(first - 1, 0), lanes], value[first, lanes]
+    lanes = np.arange(len(a))
+    first = np.argmax(below, axis=0)
+    high = value[np.maximum(first - 1, 0), lanes]
+    low = value[first, lanes]
     at = (first - 1 + high / (high - low)) / _SAMPLES
     return np.where(below.any(axis=0), at, -1.0)

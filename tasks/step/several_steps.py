@@ -95,13 +95,14 @@ class Strides:
         m = len(self.one.y)
         # A step's equation has its own section; in a gait of several that after it
         # takes its place.
-        by[np.arange(m), np.arange(m)] += 1.0
-        missed, guards = (
-            self._in_places(np.roll(by[:m], 1, axis=2), 1),
-            self._in_places(by[m:], 0),
-        )
+        of_one = np.arange(m)
+        by[of_one, of_one] += 1.0
+        missed = self._in_places(np.roll(by[:m], 1, axis=2), 1)
+        guards = self._in_places(by[m:], 0)
+
         out = np.concatenate([*missed, *guards])
-        out[np.arange(len(self.y)), np.arange(len(self.y))] -= 1.0
+        of_all = np.arange(len(self.y))
+        out[of_all, of_all] -= 1.0
         return out
 
     def _in_places(self, by: np.ndarray, before: int) -> np.ndarray:
@@ -111,24 +112,20 @@ class Strides:
         They are given (i, j, s, n) by the section, event times and slope of the same
         step, or of one step `before`.
         """
-        i, s, n, m = len(by), self.steps, by.shape[-1], len(self.one.y)
-        own, by = np.arange(s), by.transpose(2, 0, 1, 3)
-        sections, times = (
-            np.zeros((s, i, s, m, n)),
-            np.zeros((s, i, s, by.shape[2] - 1 - m, n)),
-        )
-        sections[own, :, own - before], times[own, :, own - before] = (
-            by[:, :, :m],
-            by[:, :, m:-1],
-        )
+        s, m, n = self.steps, len(self.one.y), by.shape[-1]
+        i, k = len(by), by.shape[1] - 1 - m
+        by = by.transpose(2, 0, 1, 3)
+        step = np.arange(s)
+        sections = np.zeros((s, i, s, m, n))
+        sections[step, :, step - before] = by[:, :, :m]
+        times = np.zeros((s, i, s, k, n))
+        times[step, :, step - before] = by[:, :, m:-1]
         # A step begins with the last strike of the one before.
         times[:, :, :-1, -1] -= times[:, :, 1:].sum(axis=3)
-        each = (
-            sections.reshape(s, i, s * m, n),
-            times.reshape(s, i, s * times.shape[3], n),
-            by[:, :, -1:],
-        )
-        return np.concatenate(each, axis=2)
+
+        by_sections = sections.reshape(s, i, s * m, n)
+        by_times = times.reshape(s, i, s * k, n)
+        return np.concatenate([by_sections, by_times, by[:, :, -1:]], axis=2)
 
     @functools.cached_property
     def inverse(self) -> np.ndarray:
@@ -154,9 +151,8 @@ class Strides:
 
     def move_impacts(self) -> None:
         """Correct the states at the impacts to the fixed point."""
-        newton = self.newton.reshape(
-            self.steps, len(self.one.y), self.y.shape[1]
-        ).swapaxes(0, 1)
+        shape = self.steps, len(self.one.y), self.y.shape[1]
+        newton = self.newton.reshape(shape).swapaxes(0, 1)
         self.one.impact = self.one.impact + matvec(self.one.impact_by_y, newton)
         self.one.knee = self.one.knee + matvec(self.one.knee_by_y, newton)
 
@@ -221,24 +217,17 @@ class StepSequence:
         of all steps.
         """
         s, n = self.steps, y.shape[1]
-        k = len(times) // s
+        m, k = self.single.m, len(times) // s
         begins = np.vstack([np.zeros((1, n)), times[k - 1 : -1 : k]])
-        inputs = np.vstack(
-            [
-                side_by_side(y, s),
-                side_by_side(times - np.repeat(begins, k, axis=0), s),
-                np.tile(parameters, s),
-            ]
-        )
+        durations = times - np.repeat(begins, k, axis=0)
+        parts = side_by_side(y, s), side_by_side(durations, s), np.tile(parameters, s)
+
         # Lanes of differences share most of their steps.
-        inputs, place = np.unique(inputs, axis=1, return_inverse=True)
-        m = self.single.m
-        one = self.single(
-            inputs[:m], inputs[m : m + k], inputs[m + k :], slope, samples, coarse
-        )
-        return Strides(
-            one.mapped(lambda values: values[..., place.reshape(s, n)]), y, times.copy()
-        )
+        inputs, place = np.unique(np.vstack(parts), axis=1, return_inverse=True)
+        of_steps = inputs[:m], inputs[m : m + k], inputs[m + k :]
+        one = self.single(*of_steps, slope, samples, coarse)
+        place = place.reshape(s, n)
+        return Strides(one.mapped(lambda values: values[..., place]), y, times.copy())
 
 
 def sections(w: np.ndarray, m: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -277,13 +266,11 @@ def begun_at(w: np.ndarray, m: int, steps: int, first: np.ndarray | int) -> np.n
     ndarray, shape (m + k, n)
     """
     places = (np.arange(steps)[:, None, None] + first) % steps
-    y, durations = (
-        np.take_along_axis(
-            each, np.broadcast_to(places, (steps, *each.shape[1:])), axis=0
-        )
-        for each in sections(w, m, steps)
-    )
-    return joined(w[0], y, durations)
+    begun = []
+    for values in sections(w, m, steps):
+        each = np.broadcast_to(places, values.shape)
+        begun.append(np.take_along_axis(values, each, axis=0))
+    return joined(w[0], *begun)
 
 
 def joined(
@@ -301,23 +288,18 @@ def joined(
     -------
     ndarray, shape (m + k, n)
     """
-    flat, angle = np.concatenate([*y]), y[0, 0]
-    return np.vstack(
-        [
-            log_unit + np.log(angle),
-            flat[1:] / angle,
-            np.cumsum(np.concatenate([*durations]), axis=0),
-        ]
-    )
+    angle = y[0, 0]
+    others = np.concatenate([*y])[1:] / angle
+    times = np.cumsum(np.concatenate([*durations]), axis=0)
+    return np.vstack([log_unit + np.log(angle), others, times])
 
 
 def distance(a: np.ndarray, b: np.ndarray, m: int, steps: int) -> float:
     """Distance of two gaits (m + k,), whichever of their steps are the first."""
-    begun = (
-        begun_at(np.repeat(a[:, None], steps, axis=1), m, steps, np.arange(steps))
-        if steps > 1
-        else a[:, None]
-    )
+    begun = a[:, None]
+    if steps > 1:
+        every = np.repeat(begun, steps, axis=1)
+        begun = begun_at(every, m, steps, np.arange(steps))
     return float(np.abs(begun - b[:, None]).max(axis=0).min())
 
 
@@ -345,8 +327,7 @@ def from_largest(w: np.ndarray, m: int, steps: int) -> np.ndarray:
     """Similarity coordinates (m + k, n) of the same gaits begun at the step with the
     largest stance angle.
     """
-    return (
-        begun_at(w, m, steps, sections(w, m, steps)[0][:, 0].argmax(axis=0))
-        if steps > 1
-        else w
-    )
+    if steps == 1:
+        return w
+    y, _ = sections(w, m, steps)
+    return begun_at(w, m, steps, y[:, 0].argmax(axis=0))

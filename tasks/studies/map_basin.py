@@ -75,7 +75,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             rows.areas.append((slope, NO_START, 0.0, 0.0, np.nan, 0))
             continue
 
-        grid = _grid(problem, gaits["long"], options, walker.time_unit)
+        grid = _grid(gaits["long"], options, walker.time_unit)
         for label, y in gaits.items():
             rows.add_gait(slope, label, y)
             rows.add_manifold(slope, label, _manifold(problem, y, slope, grid))
@@ -116,9 +116,7 @@ class _Grid(NamedTuple):
     cell: float
 
 
-def _grid(
-    problem: Problem, gait: np.ndarray, options: Mapping[str, Any], time_unit: float
-) -> _Grid:
+def _grid(gait: np.ndarray, options: Mapping[str, Any], time_unit: float) -> _Grid:
     """The grid over the ranges of a study, by default those around the long gait."""
     size = int(options["size"])
     angles = _range(options["stance_angle"], 1.0, gait[0])
