@@ -148,17 +148,15 @@ def gaits(
     lines, unsolvable = _checked(base, flat, arrays)
 
     slope = flat[base.along]
-    if len(slope) and not any(len(line.at) for line in lines):
-        _refuse(base, slope, unsolvable)
+    _refuse_if_none(base, slope, lines, unsolvable)
     unsolvable += _wrong_slopes(base, slope, [line.at for line in lines])
 
     keys = _keys(base, arrays, lines)
     checks = [line.check for line in lines]
-    multipliers = max((check["multipliers"] for check in checks), default=3)
     # A list that becomes shorter while its lines are solved.
     lines = [line for line in lines if len(line.at)]
     found = _solve_in_units(base, lines, flat)
-    points = _in_order(found, unsolvable, base.variables, multipliers)
+    points = _in_order(found, unsolvable, base.variables, checks)
 
     kept = _kept(base, checks, named)
     for name in {*base.variables}.difference(kept):
@@ -220,12 +218,17 @@ def _checked(
     return lines, unsolvable
 
 
-def _refuse(
-    base: Study, slope: np.ndarray, unsolvable: list[tuple[np.ndarray, StudyError]]
+def _refuse_if_none(
+    base: Study,
+    slope: np.ndarray,
+    lines: list[_Line],
+    unsolvable: list[tuple[np.ndarray, StudyError]],
 ) -> None:
     """Raise the first error of a grid without a point that can be solved: an argument
     that is nowhere right is a mistake, not a result.
     """
+    if not len(slope) or any(len(line.at) for line in lines):
+        return
     if unsolvable or base.at:
         wrong = [*unsolvable, *_wrong_slopes(base, slope)]
         raise wrong[0][1]
@@ -269,7 +272,7 @@ def _in_order(
     found: Iterator[_Found],
     unsolvable: list[tuple[np.ndarray, StudyError]],
     variables: tuple[str, ...],
-    multipliers: int,
+    checks: list[dict[str, Any]],
 ) -> Points:
     """All points in the order of the grid: those that are found, and those that cannot
     be solved.
@@ -283,6 +286,7 @@ def _in_order(
         parts = [(np.empty(0, int), Points.of_ending(0, "raised", "", variables))]
     places, points = zip(*parts, strict=True)
     order = np.argsort(np.concatenate(places))
+    multipliers = max((check["multipliers"] for check in checks), default=3)
     return joined(points, (len(GAITS), multipliers)).take(order)
 
 

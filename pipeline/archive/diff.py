@@ -32,7 +32,11 @@ class Tolerance:
     own: Mapping[str, float]
 
     def compare(
-        self, name: str, x: np.ndarray, y: np.ndarray, scale: np.ndarray | None = None
+        self,
+        name: str,
+        x: np.ndarray,
+        y: np.ndarray,
+        scale: np.ndarray | None = None,
     ) -> list[str]:
         """Differences between the values of a variable, if any, in a sentence."""
         if x.shape != y.shape:
@@ -42,32 +46,31 @@ class Tolerance:
             return self._compare_numbers(name, x, y, scale)
 
         if "O" in kinds:
-            x, y = x.astype(str), y.astype(str)
+            x = x.astype(str)
+            y = y.astype(str)
         unequal = np.count_nonzero(x != y)
         return [f"`{name}`: {unequal:,} of {x.size:,} differ"] if unequal else []
 
     def _compare_numbers(
-        self, name: str, x: np.ndarray, y: np.ndarray, scale: np.ndarray | None
+        self,
+        name: str,
+        x: np.ndarray,
+        y: np.ndarray,
+        scale: np.ndarray | None,
     ) -> list[str]:
         """Differences between numbers beyond a tolerance times their scale, by default
         the larger of two.
         """
-        rtol, unit = self.own.get(name, self.rtol), " of their size"
-        with np.errstate(invalid="ignore", divide="ignore"):
-            if name not in self.own and name.rpartition("/")[2] in _ROUNDING:
-                scale, unit = np.ones(x.shape), ""
-            if scale is None:
-                scale = np.maximum(np.abs(x), np.abs(y))
-
-            gap = np.abs(x - y)
-            both_absent = np.isnan(x) & np.isnan(y)
-            unequal = ~((gap <= rtol * scale) | (x == y) | both_absent)
-            is_number = unequal & np.isfinite(gap) & (scale > 0)
-            worst = np.max(np.where(is_number, gap / scale, 0.0), initial=0.0)
-
+        rtol = self.own.get(name, self.rtol)
+        unit = " of their size"
+        if name not in self.own and name.rpartition("/")[2] in _ROUNDING:
+            scale = np.ones(x.shape)
+            unit = ""
+        unequal, worst = _unequal(x, y, rtol, scale)
         differing = np.count_nonzero(unequal)
         if not differing:
             return []
+
         absent = np.count_nonzero(np.isnan(x) != np.isnan(y))
         by = []
         if absent < differing:
@@ -77,8 +80,32 @@ class Tolerance:
         return [f"`{name}`: {differing:,} of {x.size:,} differ, {', '.join(by)}"]
 
 
+@np.errstate(invalid="ignore", divide="ignore")
+def _unequal(
+    x: np.ndarray,
+    y: np.ndarray,
+    rtol: float,
+    scale: np.ndarray | None,
+) -> tuple[np.ndarray, float]:
+    """Which numbers differ by more than a tolerance times their scale, and by how much
+    at most, over that.
+    """
+    if scale is None:
+        scale = np.maximum(np.abs(x), np.abs(y))
+    gap = np.abs(x - y)
+    both_absent = np.isnan(x) & np.isnan(y)
+    unequal = ~((gap <= rtol * scale) | (x == y) | both_absent)
+
+    is_number = unequal & np.isfinite(gap) & (scale > 0)
+    over_scale = np.where(is_number, gap / scale, 0.0)
+    return unequal, np.max(over_scale, initial=0.0)
+
+
 def diff(
-    a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = None
+    a: Path,
+    b: Path,
+    rtol: float = 0.0,
+    own: Mapping[str, float] | None = None,
 ) -> list[str]:
     """List the differences between two archives, aligned by coordinates.
 
@@ -133,7 +160,8 @@ class _Comparison:
         if kinds[0] != kinds[1]:
             yield f"the kind differs: {kinds[0]} and {kinds[1]}"
 
-        constants, others = _parameters(left), _parameters(right)
+        constants = _parameters(left)
+        others = _parameters(right)
         for name in sorted(constants.keys() & others.keys()):
             yield from self.tolerance.compare(name, constants[name], others[name])
 
@@ -147,13 +175,12 @@ class _Comparison:
         """Differences between two open groups, and between the groups in them."""
         x, y = self.grids
         if prefix:
-            x, y = _opened(left, x), _opened(right, y)
+            x = _opened(left, x)
+            y = _opened(right, y)
         yield from self._of_coordinates(x, y, prefix)
 
         rows = _matching_rows(x, y, self.grids)
-        not_compared = {*x.indexes, *y.indexes, "reason_text"}
-        names = {*x.variables, *y.variables} - not_compared
-        for name in sorted(map(str, names)):
+        for name in _compared(x, y):
             if name not in x or name not in y:
                 yield f"`{prefix}{name}` is only in {self._holder(name in x)}"
             elif prefix or set(x[name].dims) <= set(y.sizes):
@@ -173,7 +200,10 @@ class _Comparison:
         return self.paths[0] if is_first else self.paths[1]
 
     def _of_coordinates(
-        self, x: xr.Dataset, y: xr.Dataset, prefix: str
+        self,
+        x: xr.Dataset,
+        y: xr.Dataset,
+        prefix: str,
     ) -> Iterator[str]:
         """Values of coordinates that only one of two groups has."""
         for name in sorted(set(x.indexes) & set(y.indexes)):
@@ -205,19 +235,35 @@ class _Comparison:
         if x.dims == ("row",):
             return self.tolerance.compare(path, x.values[rows[0]], y.values[rows[1]])
 
-        parts = [x, y, *_magnitudes(name, groups)]
-        unindexed = set(x.dims) - set(x.indexes)
-        aligned = xr.align(*parts, join="inner", exclude=unindexed)
-        # Those of a single line are scalars.
-        one, other, *sizes = (
-            np.atleast_1d(part.transpose(*x.dims).values) for part in aligned
-        )
+        one, other, size = _aligned(name, groups)
         if name == "status":
             return _compare_status(one, other)
         if name == "reason":
-            one, other = _sentences(groups[0])[one], _sentences(groups[1])[other]
-        size = np.maximum(*sizes) if sizes else None
+            one = _sentences(groups[0])[one]
+            other = _sentences(groups[1])[other]
         return self.tolerance.compare(path, one, other, size)
+
+
+def _compared(x: xr.Dataset, y: xr.Dataset) -> list[str]:
+    """Names of the variables of two groups that are compared."""
+    others = {*x.indexes, *y.indexes, "reason_text"}
+    return sorted(map(str, {*x.variables, *y.variables} - others))
+
+
+def _aligned(
+    name: str, groups: _Pair
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Values of a variable at the coordinates that two groups share, and the size with
+    which they are compared, if it is not their own.
+    """
+    x, y = (group[name] for group in groups)
+    parts = [x, y, *_magnitudes(name, groups)]
+    unindexed = set(x.dims) - set(x.indexes)
+    aligned = xr.align(*parts, join="inner", exclude=unindexed)
+    # Those of a single line are scalars.
+    values = [np.atleast_1d(part.transpose(*x.dims).values) for part in aligned]
+    one, other, *sizes = values
+    return one, other, np.maximum(*sizes) if sizes else None
 
 
 def _parameters(file: Any) -> dict[str, np.ndarray]:
@@ -268,7 +314,9 @@ def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
 
 
 def _matching_rows(
-    x: xr.Dataset, y: xr.Dataset, grids: _Pair
+    x: xr.Dataset,
+    y: xr.Dataset,
+    grids: _Pair,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows of two tables on the lines that both archives have, in one order; by slope
     where both have the same ones.
@@ -291,7 +339,9 @@ def _matching_rows(
 
 
 def _rows(
-    table: xr.Dataset, shared: Mapping[Any, pd.Index], by_slope: bool = False
+    table: xr.Dataset,
+    shared: Mapping[Any, pd.Index],
+    by_slope: bool = False,
 ) -> np.ndarray:
     """Rows of a table whose line has `shared` coordinates, line by line."""
     names = sorted(set(shared) & set(table.data_vars), reverse=True)

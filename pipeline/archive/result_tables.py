@@ -206,7 +206,9 @@ class _Arrays:
     """
 
     def __init__(self, file: Any, plan: Plan, group: str, columns: Columns):
-        self.plan, self.group, self.columns = plan, group, columns
+        self.plan = plan
+        self.group = group
+        self.columns = columns
         self.netcdf_group = file.createGroup(group)
         self.dims = [*plan.graph.grid.line_dims, "slope"]
         self.sizes, self.case = _cases(plan, self.dims, columns)
@@ -249,9 +251,11 @@ class _Arrays:
             values, flags = _flags(values)
             described |= flags
 
-        dtype, absent = np.dtype(float), np.nan
+        dtype = np.dtype(float)
+        absent = np.nan
         if values.dtype.kind in "iu":
-            dtype, absent = np.min_scalar_type(-int(values.max(initial=0)) - 1), -1
+            dtype = np.min_scalar_type(-int(values.max(initial=0)) - 1)
+            absent = -1
 
         constant = _CONSTANT.get(name, ())
         along = [each for each in self.inner if each not in constant]
@@ -289,7 +293,9 @@ def _flags(words: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
 
 
 def _cases(
-    plan: Plan, dims: Sequence[str], columns: Columns
+    plan: Plan,
+    dims: Sequence[str],
+    columns: Columns,
 ) -> tuple[list[int], np.ndarray]:
     """Lengths of some axes of the grid, and the number of each row's place on them."""
     known = {axis.name: axis.values for axis in plan.study.axes}
@@ -322,7 +328,8 @@ def meaning_of(name: str, group: str = "") -> tuple[str, str]:
     """Kind of quantity and meaning of a column; one without a description is called by
     its name.
     """
-    kinds, known = units.kinds(), table_columns()
+    kinds = units.kinds()
+    known = table_columns()
     if name in registry.VARIABLES and f"{group}/{name}" not in known:
         return registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
     own = (

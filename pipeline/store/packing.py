@@ -13,12 +13,15 @@ import zlib
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 #: Every n-th byte is sampled; n is prime so that no dimension aliases.
 _SAMPLING = 13
 #: Least unevenness of bytes to deflate, and least fraction that repeats at a lag, as
 #: across multipliers.
-_MIN_UNEVENNESS, _MIN_REPETITION, _LAGS = 1.1, 0.02, (1, 2, 3, 4, 6, 8)
+_MIN_UNEVENNESS = 1.1
+_MIN_REPETITION = 0.02
+_LAGS = (1, 2, 3, 4, 6, 8)
 
 
 class Packed(NamedTuple):
@@ -28,7 +31,7 @@ class Packed(NamedTuple):
     checksum: int
 
 
-def pack_values(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
+def pack_values(values: ndarray, extent: tuple[int, ...]) -> Packed:
     """Pack the values of a variable in a chunk, as the archive holds them.
 
     Parameters
@@ -52,7 +55,10 @@ def pack_values(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
 
 @functools.lru_cache(256)
 def _pack_constant(
-    value: bytes, dtype: str, shape: tuple[int, ...], extent: tuple[int, ...]
+    value: bytes,
+    dtype: str,
+    shape: tuple[int, ...],
+    extent: tuple[int, ...],
 ) -> Packed:
     values = np.empty(shape, dtype)
     if value:
@@ -60,7 +66,7 @@ def _pack_constant(
     return Packed(pack(values, extent), zlib.crc32(values.tobytes()))
 
 
-def pack(values: np.ndarray, extent: tuple[int, ...]) -> bytes:
+def pack(values: ndarray, extent: tuple[int, ...]) -> bytes:
     """Apply the filters fletcher32, shuffle and deflate, in this order, to a chunk,
     whose values zeros make whole.
 
@@ -81,20 +87,22 @@ def pack(values: np.ndarray, extent: tuple[int, ...]) -> bytes:
     whole[tuple(map(slice, values.shape))] = values
     data = whole.reshape(-1).view(np.uint8)
     checksum = struct.pack("<I", fletcher32(data))
-    data = np.concatenate([data, np.frombuffer(checksum, np.uint8)])
+    after = np.frombuffer(checksum, np.uint8)
+    data = np.concatenate([data, after])
 
     # The first bytes of all values, then the second ones, and so on; last what is left
     # of the checksum.
     size = values.itemsize
     n = len(data) // size
-    planes = np.ascontiguousarray(data[: n * size].reshape(n, size).T)
+    values_of_bytes = data[: n * size].reshape(n, size)
+    planes = np.ascontiguousarray(values_of_bytes.T)
     are_compressible = [True] * size
     if values.dtype.kind == "f":
         are_compressible = _compressible_planes(planes)
     return _deflated(planes, are_compressible, data[n * size :].tobytes())
 
 
-def _deflated(planes: np.ndarray, are_compressible: list[bool], rest: bytes) -> bytes:
+def _deflated(planes: ndarray, are_compressible: list[bool], rest: bytes) -> bytes:
     """Planes of bytes and a rest as one stream, in which those that are not compressible
     are stored.
     """
@@ -113,7 +121,7 @@ def _deflated(planes: np.ndarray, are_compressible: list[bool], rest: bytes) -> 
     return b"".join(stream)
 
 
-def unpack(data: bytes | memoryview, dtype: str, extent: tuple[int, ...]) -> np.ndarray:
+def unpack(data: bytes | memoryview, dtype: str, extent: tuple[int, ...]) -> ndarray:
     """Unpack a chunk.
 
     Parameters
@@ -139,12 +147,14 @@ def unpack(data: bytes | memoryview, dtype: str, extent: tuple[int, ...]) -> np.
     except zlib.error as error:
         raise ValueError(f"not a packed chunk: {error}") from error
     n = len(unpacked) // size
-    values = np.ascontiguousarray(unpacked[: n * size].reshape(size, n).T).reshape(-1)
-    values = np.concatenate([values, unpacked[n * size :]])[:-4]
+    planes = unpacked[: n * size].reshape(size, n)
+    values = np.ascontiguousarray(planes.T).reshape(-1)
+    rest = unpacked[n * size :]
+    values = np.concatenate([values, rest])[:-4]
     return values.view(dtype).reshape(extent)
 
 
-def _compressible_planes(planes: np.ndarray) -> list[bool]:
+def _compressible_planes(planes: ndarray) -> list[bool]:
     """Planes of bytes that, by a sample, are less even than chance or repeat at a lag."""
     size, length = planes.shape
     last = max(1, length - _LAGS[-1])
@@ -161,7 +171,7 @@ def _compressible_planes(planes: np.ndarray) -> list[bool]:
     return compressible.tolist()
 
 
-def fletcher32(data: np.ndarray) -> int:
+def fletcher32(data: ndarray) -> int:
     """Fletcher checksum as HDF5 defines it; an odd number of bytes is padded with a
     zero.
 
@@ -173,9 +183,11 @@ def fletcher32(data: np.ndarray) -> int:
     -------
     int
     """
-    whole = np.append(data, np.zeros(len(data) % 2, np.uint8))
+    padding = np.zeros(len(data) % 2, np.uint8)
+    whole = np.append(data, padding)
     words = whole.view(">u2").astype(np.int64)
-    low, high = int(words.sum()), int(words @ np.arange(len(words), 0, -1))
+    low = int(words.sum())
+    high = int(words @ np.arange(len(words), 0, -1))
     return _ones_complement(high) << 16 | _ones_complement(low)
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.pipeline import dispatch, serialize
 from gaitsweep.pipeline.grid.grid import Shape
@@ -53,7 +54,7 @@ class Points:
         Sentences of `reason`, by their numbers.
     """
 
-    values: dict[str, np.ndarray]
+    values: dict[str, ndarray]
     sentences: dict[int, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -85,7 +86,7 @@ class Points:
     def _of_result(cls, result: Mapping[str, Any], want: Iterable[str]) -> "Points":
         """What a task returns for points of a line."""
         others = [name for name in want if name not in ("status", "reason")]
-        values: dict[str, np.ndarray] = {}
+        values: dict[str, ndarray] = {}
         for name in ("status", *others):
             array = np.asarray(result[name], VARIABLES[name].dtype)
             values[name] = array
@@ -104,7 +105,11 @@ class Points:
 
     @classmethod
     def of_ending(
-        cls, points: int, ending: str, reason: str, want: Iterable[str]
+        cls,
+        points: int,
+        ending: str,
+        reason: str,
+        want: Iterable[str],
     ) -> "Points":
         """Points whose worker ended so, a name of `statuses.ENDINGS`."""
         values = {}
@@ -112,12 +117,13 @@ class Points:
             inner = [0 for _ in inner_sizes(name, 0)]
             values[name] = np.empty((points, 0, *inner), _dtype_of(name))
 
-        number, shape = sentence_number(reason), (points, len(GAITS))
+        number = sentence_number(reason)
+        shape = (points, len(GAITS))
         values["status"] = np.full(shape, ENDINGS[ending], np.int8)
         values["reason"] = np.full(shape, number, _REASON)
         return cls(values, {number: reason})
 
-    def take(self, rows: np.ndarray) -> "Points":
+    def take(self, rows: ndarray) -> "Points":
         """Some of the points, in that order."""
         if np.array_equal(rows, np.arange(len(self))):
             return self
@@ -144,7 +150,7 @@ def joined(parts: Sequence[Points], least: tuple[int, int] = (0, 0)) -> Points:
     return Points(values, sentences)
 
 
-def _widened(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _widened(name: str, values: ndarray, shape: tuple[int, ...]) -> ndarray:
     """Values of points with so many gaits and multipliers, of which the last are
     absent.
     """
@@ -213,7 +219,7 @@ class ChunkCodec:
         payload = b"".join(piece.data for piece in pieces)
         return Record(serialize.dump(head), payload)
 
-    def _pieces(self, name: str, array: np.ndarray, columns: int) -> list[Packed]:
+    def _pieces(self, name: str, array: ndarray, columns: int) -> list[Packed]:
         """Pack a variable, gait by gait."""
         if has_multipliers(name):
             array = _widened(name, array, (array.shape[1], self.multipliers))
@@ -224,7 +230,7 @@ class ChunkCodec:
         return [pack_values(of_gait, extent) for of_gait in values]
 
 
-def _counted(points: Points) -> dict[str, np.ndarray]:
+def _counted(points: Points) -> dict[str, ndarray]:
     """What the head of a record says of its points: how many have which statuses, and
     which sentences their gaits have.
     """
@@ -293,11 +299,11 @@ class Head:
     gaits: frozenset[str]
     is_archived: bool
     columns: dict[str, int]
-    statuses: np.ndarray
-    occurrences: np.ndarray
-    numbers: np.ndarray
-    texts: np.ndarray
-    used: np.ndarray
+    statuses: ndarray
+    occurrences: ndarray
+    numbers: ndarray
+    texts: ndarray
+    used: ndarray
     places: dict[tuple[str, int], tuple[int, int, int]]
 
     @staticmethod
@@ -311,7 +317,8 @@ class Head:
             If it is none.
         """
         head: dict[str, Any] = serialize.load(data)
-        sizes, counts = head["sizes"], head["columns"]
+        sizes = head["sizes"]
+        counts = head["columns"]
         if (counts < 0).any() or counts.sum() != len(sizes):
             raise ValueError("not the head of a record")
 
@@ -367,7 +374,7 @@ class Head:
         start, end, checksum = self.places[name, gait]
         return Packed(bytes(payload[start:end]), checksum)
 
-    def unpack(self, payload: memoryview, name: str) -> np.ndarray:
+    def unpack(self, payload: memoryview, name: str) -> ndarray:
         """Values of a variable.
 
         Returns
@@ -376,9 +383,10 @@ class Head:
             Line by line.
         """
         extent = _extent(name, self.shape, self.multipliers)
-        points, more = math.prod(self.shape.sizes), extent[len(self.shape.extent) :]
+        points = math.prod(self.shape.sizes)
+        more = extent[len(self.shape.extent) :]
         dtype = _dtype_of(name)
-        columns: list[np.ndarray] = []
+        columns: list[ndarray] = []
         for gait in range(self.columns[name]):
             piece = self.piece(payload, name, gait)
             assert piece
@@ -394,6 +402,7 @@ class Head:
 
 def decode(record: Record, names: Iterable[str] | None = None) -> Points:
     """Points of a record, with all variables that it holds or some of them."""
-    head, payload = Head.parse(record.head), memoryview(record.payload)
+    head = Head.parse(record.head)
+    payload = memoryview(record.payload)
     values = {name: head.unpack(payload, name) for name in names or head.columns}
     return Points(values, head.sentences())

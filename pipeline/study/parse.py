@@ -76,7 +76,7 @@ def parse(
     grid = _grid(table, kind, path, top)
 
     walkers = _walkers(table.get("walker"), path, top.at("walker"))
-    labels = value_of(STUDY, "gaits", table, top) or GAITS
+    gaits = _gaits(table, top)
     wants = _table(table.get("want", {}), WANT, top.at("want"))
     wanted = want.read(wants, accuracy, top.at("want"), grid.options.get("at"))
     results: dict[str, Any] = {**wanted}
@@ -89,7 +89,7 @@ def parse(
         options=grid.options,
         walker_axis=isinstance(table["walker"], list),
         names=_names(table["walker"], walkers),
-        gaits=tuple(label for label in GAITS if label in labels),
+        gaits=gaits,
         limits=_limits(table, top),
         walkers=tuple(changed(each, grid.toward, grid.tuned) for each in walkers),
         axes=grid.axes,
@@ -101,6 +101,12 @@ def parse(
 
     measured = _measurements(table.get("figures", {}), study, top.at("figures"))
     return replace(study, overlay=measured)
+
+
+def _gaits(table: Mapping[str, Any], top: Location) -> tuple[str, ...]:
+    """Labels of the gaits that are wanted, in their own order."""
+    labels = value_of(STUDY, "gaits", table, top) or GAITS
+    return tuple(label for label in GAITS if label in labels)
 
 
 class _Grid(NamedTuple):

@@ -8,6 +8,7 @@ hyperextension of the released knee, beyond which the branch continues.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,25 +59,10 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
         number between those of its neighbours.
     """
     nodes = corrected(problem, branch)
-    found: list[_Found] = []
+    found = []
     for kind, node, error in turns_and_ends(branch):
         found.append(_Found(float(node), kind, nodes, node, error))
-
-    has_knees = problem.walker.knees
-    kinds = [
-        name
-        for name, kind in KINDS.items()
-        if kind.is_passed and (has_knees or not kind.needs_knee)
-    ]
-    conditions = [CONDITIONS[kind] for kind in kinds if kind in CONDITIONS]
-    raw = Nodes(problem, [[branch]], conditions)
-    for kind in kinds:
-        if kind in CONDITIONS:
-            points = _passings(problem, branch, raw, CONDITIONS[kind])
-        else:
-            points = _branch_points(problem, branch, nodes)
-        for place, point in points:
-            found.append(_Found(place, kind, point))
+    found += _found_between(problem, branch, nodes)
 
     records = []
     for each in sorted(found, key=lambda each: each.place):
@@ -98,6 +84,29 @@ class _Found(NamedTuple):
     point: Point
     lane: int = 0
     error: float = 0.0
+
+
+def _found_between(
+    problem: Problem,
+    branch: Branch,
+    nodes: Point,
+) -> Iterator[_Found]:
+    """Special points that a branch passes between its nodes, kind by kind."""
+    has_knees = problem.walker.knees
+    kinds = [
+        name
+        for name, kind in KINDS.items()
+        if kind.is_passed and (has_knees or not kind.needs_knee)
+    ]
+    conditions = [CONDITIONS[kind] for kind in kinds if kind in CONDITIONS]
+    raw = Nodes(problem, [[branch]], conditions)
+    for kind in kinds:
+        if kind in CONDITIONS:
+            points = _passings(problem, branch, raw, CONDITIONS[kind])
+        else:
+            points = _branch_points(problem, branch, nodes)
+        for place, point in points:
+            yield _Found(place, kind, point)
 
 
 def turns_and_ends(branch: Branch) -> list[tuple[str, int, float]]:
@@ -161,7 +170,10 @@ def passings(
 
 
 def _passings(
-    problem: Problem, branch: Branch, nodes: Nodes, condition: Condition
+    problem: Problem,
+    branch: Branch,
+    nodes: Nodes,
+    condition: Condition,
 ) -> list[tuple[float, Point]]:
     """What `passings` returns, by the values of the condition at nodes."""
     guesses = guess_passings(problem, nodes, condition)
@@ -221,7 +233,8 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
     angle has vanished in doubles.
     """
     order = slice(None) if end == 0 else slice(None, None, -1)
-    Z, tangent = branch.Z[:, order], branch.tangent[:, order]
+    Z = branch.Z[:, order]
+    tangent = branch.tangent[:, order]
     rates = np.abs(Z[1 : branch.m, 0])
     share = 1 / np.abs(Z[1 + int(rates.argmax())])
     slope = np.exp(Z[-1])
@@ -247,7 +260,9 @@ def _extrapolated(x: ndarray, y: ndarray) -> ndarray:
     wanted = x[0] + (x[-1] - x[0]) * (0.5 - 0.5 * np.cos(angles))
     nearest = np.unique(np.abs(x[:, None] - wanted).argmin(axis=0))
 
-    values, x, row = [y[0]], x[nearest], y[nearest]
+    values = [y[0]]
+    x = x[nearest]
+    row = y[nearest]
     for k in range(1, len(x)):
         weighted = x[k:] * row[:-1] - x[:-k] * row[1:]
         row = weighted / (x[k:] - x[:-k])
@@ -294,7 +309,8 @@ def state_at(point: Evaluation, lane: int) -> dict[str, Any]:
 
 def _error(kind: str, point: Point, lane: int, known: float) -> float:
     """Bound on the relative error of a special point's slope, of which a part is known."""
-    problem, Z = point.at.problem, point.Z[:, lane]
+    problem = point.at.problem
+    Z = point.Z[:, lane]
     is_flip_of_others = kind == "branch_point" and known
     if kind == "end_earlier_strike" and _strikes_with_knee(point, lane):
         error = slope_error(problem, CONDITIONS["foot_at_kneestrike"], Z)
@@ -310,7 +326,10 @@ def _error(kind: str, point: Point, lane: int, known: float) -> float:
 
 
 def record(
-    kind: str, point: Evaluation, lane: int, error_bound: float
+    kind: str,
+    point: Evaluation,
+    lane: int,
+    error_bound: float,
 ) -> dict[str, Any]:
     """Describe a special point as `special_points` does, but for its place."""
     return {

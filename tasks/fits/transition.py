@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.fits.power_law import fit
 
@@ -19,7 +20,7 @@ CUBE_ROOT = math.tanh(math.pi / 2) ** (2 / 3)
 _LINEAR = 0.05
 
 
-def asymptotic(ratio: np.ndarray) -> np.ndarray:
+def asymptotic(ratio: ndarray) -> ndarray:
     """Slope at which the two laws cross, to leading order in the foot mass ratio:
     ratio^(3/2) coth^2(pi/2)/8.
 
@@ -34,9 +35,7 @@ def asymptotic(ratio: np.ndarray) -> np.ndarray:
     return ratio**1.5 / (8 * math.tanh(math.pi / 2) ** 2)
 
 
-def linear_amplitude(
-    slope: np.ndarray, angle: np.ndarray
-) -> tuple[float, float, float, int]:
+def linear_amplitude(slope: ndarray, angle: ndarray) -> tuple[float, float, float, int]:
     """Fit the limit of angle/slope as slope -> 0.
 
     Parameters
@@ -59,22 +58,28 @@ def linear_amplitude(
     y = np.log(angle / slope)
     is_far = ~(np.abs(y - y[0]) < 0.02)
     n = int(np.argmax(is_far)) if is_far.any() else len(y)
-    none = math.nan, math.nan, math.nan, n
-    if n < 4:
-        return none
+    if n < 4 or not _is_linear(slope[:n], y[:n]):
+        return math.nan, math.nan, math.nan, n
 
-    # Many slopes may lie within 2 % of any law.
     largest = slope[n - 1]
-    if abs(y[n - 1] - y[0]) > _LINEAR * math.log(largest / slope[0]):
-        return none
 
-    design = np.stack([np.ones(n), (slope[:n] / largest) ** 2], axis=1)
+    squares = (slope[:n] / largest) ** 2
+    design = np.stack([np.ones(n), squares], axis=1)
     solution, residual, _, _ = np.linalg.lstsq(design, y[:n], rcond=None)
     scatter = 0.0
     if len(residual):
         scatter = math.sqrt(residual[0] / (n - 2))
-    error = scatter * math.sqrt(np.linalg.inv(design.T @ design)[0, 0])
+    covariance = np.linalg.inv(design.T @ design)
+    error = scatter * math.sqrt(covariance[0, 0])
     return float(np.exp(solution[0])), error, float(largest), n
+
+
+def _is_linear(slope: ndarray, y: ndarray) -> bool:
+    """Whether ln(angle/slope) is all but constant: many slopes may lie within 2 % of any
+    law.
+    """
+    change = abs(y[-1] - y[0])
+    return not change > _LINEAR * math.log(slope[-1] / slope[0])
 
 
 def crossing(linear: float, cube_root: float) -> float:
@@ -107,7 +112,11 @@ class FittedLines:
     cube_root: float = math.nan
 
 
-def fitted_lines(slope: np.ndarray, angle: np.ndarray, expected: float) -> FittedLines:
+def fitted_lines(
+    slope: ndarray,
+    angle: ndarray,
+    expected: float,
+) -> FittedLines:
     """Fit the two straight lines of figure 5 of the paper and let them cross.
 
     Parameters

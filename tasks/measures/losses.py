@@ -23,7 +23,9 @@ from gaitsweep.tasks.walkers.walker import Walker
 
 
 def velocity_ratio(
-    walker: Walker, angle: np.ndarray, rate_ratio: np.ndarray
+    walker: Walker,
+    angle: np.ndarray,
+    rate_ratio: np.ndarray,
 ) -> np.ndarray:
     """Ratio x'/y' of the swing foot's velocities just before heelstrike.
 
@@ -90,10 +92,13 @@ class _Link(NamedTuple):
 def _links(walker: Walker) -> tuple[_Link, _Link, _Link]:
     """Thigh, shank, and both as one link, as they are with the knee locked."""
     leg, mass = walker.leg, walker.total_mass
-    knee, thigh = walker.knee / leg, walker.thigh_centre / leg
+    knee = walker.knee / leg
+    thigh = walker.thigh_centre / leg
     shank = walker.shank_centre / leg
-    m_t, m_s = walker.m_t / mass, walker.m_s / mass
-    I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
+    m_t = walker.m_t / mass
+    m_s = walker.m_s / mass
+    I_t = m_t * (walker.r_t / leg) ** 2
+    I_s = m_s * (walker.r_s / leg) ** 2
 
     m_leg = m_t + m_s
     centre = (m_t * thigh + m_s * (knee + shank)) / m_leg
@@ -106,7 +111,8 @@ def _links(walker: Walker) -> tuple[_Link, _Link, _Link]:
 def _contact_mass(walker: Walker, angle: np.ndarray) -> ApparentMass:
     """Contact mass of a walker whose legs have mass, over the walker's."""
     thigh, shank, leg = _links(walker)
-    new, old = np.exp(1j * angle), np.exp(-1j * angle)
+    new = np.exp(1j * angle)
+    old = np.exp(-1j * angle)
     if walker.frees_trailing_knee:
         knee = walker.knee / walker.leg
         at_knee = of_free_link(shank.mass, shank.centre * old, shank.inertia)
@@ -124,7 +130,8 @@ def _to_hip(chain: Chain, angle: np.ndarray) -> np.ndarray:
     """Unit vectors (n, 2) from the contact to the hip, the only direction in which a
     massless leg pushes.
     """
-    x, y = -chain.l * np.sin(angle), chain.R + chain.l * np.cos(angle)
+    x = -chain.l * np.sin(angle)
+    y = chain.R + chain.l * np.cos(angle)
     return np.stack([x, y], axis=-1) / np.hypot(x, y)[..., None]
 
 

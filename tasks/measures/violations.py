@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy import ndarray
 from numpy.polynomial.polynomial import polyder, polyfromroots, polyval
 
 from gaitsweep.tasks.contract.registry import VARIABLES, VIOLATIONS
@@ -32,7 +33,7 @@ _FURTHER_PEAKS = 2
 _SIDE = 5
 
 
-def _powers() -> np.ndarray:
+def _powers() -> ndarray:
     """Coefficients, in places over `_SIDE`, of the polynomials that are one at one of
     the samples and zero at the others, shape (powers, samples).
     """
@@ -56,15 +57,16 @@ class _Phase:
     def __init__(
         self,
         chain: Chain,
-        samples: np.ndarray,
-        begin: np.ndarray,
-        end: np.ndarray,
-        slope: np.ndarray,
+        samples: ndarray,
+        begin: ndarray,
+        end: ndarray,
+        slope: ndarray,
     ):
         half = samples.shape[1] // 2
         # Both links of the stance leg move as one, and those of a straight swing leg.
         links = [0, 0, 1, half - 1]
-        angles, rates = samples[:, :half], samples[:, half:]
+        angles = samples[:, :half]
+        rates = samples[:, half:]
         self.q = np.stack([angles[:, link] for link in links])
         self.rate = np.stack([rates[:, link] for link in links])
 
@@ -75,14 +77,15 @@ class _Phase:
         )
 
     @property
-    def motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def motion(self) -> tuple[ndarray, ndarray, ndarray]:
         """Angles, rates and accelerations."""
         return self.q, self.rate, self.acceleration
 
 
 def greatest(
-    x: np.ndarray, among: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+    x: ndarray,
+    among: ndarray | None = None,
+) -> tuple[ndarray, ndarray]:
     """Find the largest value of sampled functions, by a polynomial through the samples
     around each peak.
 
@@ -118,7 +121,7 @@ def greatest(
     return value, position
 
 
-def _through(x: np.ndarray, middle: np.ndarray) -> np.ndarray:
+def _through(x: ndarray, middle: ndarray) -> ndarray:
     """Coefficients of the polynomials through sampled functions around their samples
     `middle`, shape (n,).
     """
@@ -131,18 +134,20 @@ def _through(x: np.ndarray, middle: np.ndarray) -> np.ndarray:
     return np.stack(powers)
 
 
-def _peak(x: np.ndarray, best: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _peak(x: ndarray, best: ndarray) -> tuple[ndarray, ndarray]:
     """Largest value and its position within an interval of the sample `best`, shape
     (n,), of sampled functions.
     """
     top = len(x) - 1
     middle = np.clip(best, _SIDE, top - _SIDE)
     low, at, high = ((np.clip(best + k, 0, top) - middle) / _SIDE for k in (-1, 0, 1))
-    value, t = x[best, np.arange(x.shape[1])], at
+    value = x[best, np.arange(x.shape[1])]
+    t = at
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         powers = _through(x, middle)
         for _ in range(6):
-            slope, curvature = _polynomial(powers, t, 1), _polynomial(powers, t, 2)
+            slope = _polynomial(powers, t, 1)
+            curvature = _polynomial(powers, t, 2)
             # Uphill in either case: where the polynomial is convex, its greatest value
             # is at an end.
             step = np.where(curvature < 0, -slope / curvature, np.sign(slope))
@@ -156,7 +161,7 @@ def _peak(x: np.ndarray, best: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(is_larger, refined, value), middle + _SIDE * place
 
 
-def _passing(chain: Chain, phase: _Phase) -> np.ndarray:
+def _passing(chain: Chain, phase: _Phase) -> ndarray:
     """Greatest depth of a straight swing leg's foot as it passes the stance leg, shape
     (n,) [leg].
 
@@ -166,30 +171,48 @@ def _passing(chain: Chain, phase: _Phase) -> np.ndarray:
     small slopes these lie within one interval of the samples, and the depth is so small
     that only its two factors have digits.
     """
-    apart, sum_of_angles = phase.q[0] - phase.q[2], phase.q[0] + phase.q[2]
-    lane = np.arange(apart.shape[1])
-    i = np.argmax(apart[1:] <= 0, axis=0)
-    middle = np.clip(i, _SIDE, len(apart) - 1 - _SIDE)
-    minus, plus = _through(apart, middle), _through(sum_of_angles, middle)
+    apart = phase.q[0] - phase.q[2]
+    sum_of_angles = phase.q[0] + phase.q[2]
+    middle, guess = _first_passing(apart)
+    minus = _through(apart, middle)
+    plus = _through(sum_of_angles, middle)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        fraction = apart[i, lane] / (apart[i, lane] - apart[i + 1, lane])
-        passes = (i - middle + fraction) / _SIDE
+        passes = guess
         for _ in range(5):
-            passes = passes - _polynomial(minus, passes) / _polynomial(minus, passes, 1)
+            passes = passes - _step_to_zero(minus, passes)
 
         # Depth 2 l sin((a + b)/2) sin((a - b)/2) is greatest halfway between the zeros,
         # to first order.
-        t = passes - 0.5 * _polynomial(plus, passes) / _polynomial(plus, passes, 1)
+        t = passes - 0.5 * _step_to_zero(plus, passes)
         for _ in range(5):
             t = t - _step_to_extreme(plus, minus, t)
-        of_sum, of_difference = (np.sin(_polynomial(p, t) / 2) for p in (plus, minus))
+        of_sum = np.sin(_polynomial(plus, t) / 2)
+        of_difference = np.sin(_polynomial(minus, t) / 2)
         depth = 2 * chain.l * of_sum * of_difference
         is_near = _SIDE * np.abs(t - passes) < 1
         return np.where(is_near & (depth > 0), depth, 0.0)
 
 
-def _step_to_extreme(plus: np.ndarray, minus: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Newton's step toward where a product of two polynomials is extreme."""
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def _first_passing(apart: ndarray) -> tuple[ndarray, ndarray]:
+    """Sample in the middle of those around the first zero of an angle that falls, and
+    that zero from there, over `_SIDE` intervals, by a chord.
+    """
+    lane = np.arange(apart.shape[1])
+    i = np.argmax(apart[1:] <= 0, axis=0)
+    middle = np.clip(i, _SIDE, len(apart) - 1 - _SIDE)
+    before = apart[i, lane]
+    after = apart[i + 1, lane]
+    return middle, (i - middle + before / (before - after)) / _SIDE
+
+
+def _step_to_zero(powers: ndarray, t: ndarray) -> ndarray:
+    """Newton's step, backwards, to a zero of a polynomial."""
+    return np.asarray(_polynomial(powers, t) / _polynomial(powers, t, 1))
+
+
+def _step_to_extreme(plus: ndarray, minus: ndarray, t: ndarray) -> ndarray:
+    """Newton's step, backwards, to where a product of two polynomials is extreme."""
     u, u_t, u_tt = (_polynomial(plus, t, order) for order in range(3))
     v, v_t, v_tt = (_polynomial(minus, t, order) for order in range(3))
     slope = u_t * v + u * v_t
@@ -197,12 +220,12 @@ def _step_to_extreme(plus: np.ndarray, minus: np.ndarray, t: np.ndarray) -> np.n
     return slope / curvature
 
 
-def _polynomial(powers: np.ndarray, t: np.ndarray, order: int = 0) -> np.ndarray:
+def _polynomial(powers: ndarray, t: ndarray, order: int = 0) -> ndarray:
     """Values or derivatives of polynomials, one a lane."""
     return np.asarray(polyval(t, polyder(powers, order), tensor=False))
 
 
-def _ratio(force: np.ndarray) -> np.ndarray:
+def _ratio(force: ndarray) -> ndarray:
     """Ratio |tangential|/normal of a force; infinite under contact tension."""
     otherwise = np.where(np.isnan(force.imag), np.nan, np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -212,7 +235,8 @@ def _ratio(force: np.ndarray) -> np.ndarray:
 
 def _released(chain: Chain, first: _Phase) -> Arrays:
     """Items 4 to 6: motion of the leg just released."""
-    q, rate = first.q[:, 0], first.rate[:, 0]
+    q = first.q[:, 0]
+    rate = first.rate[:, 0]
     rise = chain.rise(q)
     velocity = total(rise * rate)
     is_still = np.abs(velocity) <= _ROUNDING * total(np.abs(rise * rate))
@@ -224,24 +248,32 @@ def _released(chain: Chain, first: _Phase) -> Arrays:
     under = np.logical_and.accumulate(depth >= 0, axis=0)
     sinks = np.where(down, np.maximum(greatest(depth, under)[0], 0.0), 0.0)
 
+    # It would act while the knee is still as it is during heelstrike.
     impulse = np.zeros_like(velocity)
     if not chain.massless:
-        # It would act while the knee is still as it is during heelstrike.
         compliance = chain.compliance(q, [rise], chain.frees_trailing_knee)[0][0]
         is_pushed = ~is_still & (velocity < 0)
         impulse = np.where(is_pushed, -velocity / compliance, 0.0)
 
     amounts = {"penetration_depth": sinks, "trailing_impulse": impulse}
     if chain.kneed:
-        over = first.q[3] - first.q[2]
-        over[0] = over[-1] = 0.0
-        amounts["hyperextension"] = greatest(over)[0]
+        amounts["hyperextension"] = _hyperextension(first)
     return amounts
 
 
+def _hyperextension(first: _Phase) -> ndarray:
+    """Largest angle by which the knee that is free bends forward."""
+    over = first.q[3] - first.q[2]
+    over[0] = over[-1] = 0.0
+    return greatest(over)[0]
+
+
 def _before_heelstrike(
-    chain: Chain, q: np.ndarray, impact: np.ndarray, push: PushOff | None
-) -> tuple[np.ndarray, np.ndarray]:
+    chain: Chain,
+    q: ndarray,
+    impact: ndarray,
+    push: PushOff | None,
+) -> tuple[ndarray, ndarray]:
     """Rates of the links just before heelstrike, after a push-off, and the velocity,
     complex, of the point that is about to touch the ground (paper, eq. 12 with the sign
     of its first line corrected).
@@ -256,8 +288,11 @@ def _before_heelstrike(
 
 
 def _heelstrike(
-    chain: Chain, first: _Phase, impact: np.ndarray, push: PushOff | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    chain: Chain,
+    first: _Phase,
+    impact: ndarray,
+    push: PushOff | None,
+) -> tuple[ndarray, ndarray, ndarray]:
     """Ground impulse (complex) and angular impulses of the new stance knee's lock on its
     thigh, and of the trailing knee's on its shank, at heelstrike.
 
@@ -266,14 +301,15 @@ def _heelstrike(
     Before heelstrike, the walker moves as the new stance leg's chain with the old rates, translating with the velocity
     of the point that is about to touch the ground.
     """
-    q, after = first.q[:, 0], first.rate[:, 0]
+    q = first.q[:, 0]
+    after = first.rate[:, 0]
     before, translation = _before_heelstrike(chain, q, impact, push)
     ground = chain.momentum(q, after) - chain.momentum(q, before) - translation
     M = chain.matrix(q)
 
     jump = after - before
 
-    def on_link(row: int) -> np.ndarray:
+    def on_link(row: int) -> ndarray:
         lever = 1j * chain.S[row] * np.exp(1j * q[row])
         by_translation = (lever.conj() * translation).real
 
@@ -285,7 +321,7 @@ def _heelstrike(
     return ground, on_thigh, on_shank
 
 
-def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
+def _moving(chain: Chain, phases: list[_Phase], slope: ndarray) -> Arrays:
     """Items 1 to 3 between the impacts."""
     amounts = _of_foot(chain, phases) | _of_ground_force(chain, phases, slope)
     if chain.kneed:
@@ -296,7 +332,8 @@ def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
 def _of_foot(chain: Chain, phases: list[_Phase]) -> Arrays:
     """Item 1: how deep the swing foot scuffs, and how little it clears the ground."""
     n = phases[0].q.shape[-1]
-    scuff, clearance = np.zeros(n), np.full(n, np.nan)
+    scuff = np.zeros(n)
+    clearance = np.full(n, np.nan)
     for phase in phases:
         depth = -chain.height(phase.q)
         # Both feet touch the ground when the step begins and when it ends: the rest is
@@ -317,9 +354,10 @@ def _of_foot(chain: Chain, phases: list[_Phase]) -> Arrays:
     return {"scuff_depth": scuff, "foot_clearance": clearance}
 
 
-def _of_ground_force(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
+def _of_ground_force(chain: Chain, phases: list[_Phase], slope: ndarray) -> Arrays:
     """Item 2: the least normal force on the stance foot, and the friction that it needs."""
-    least, friction = np.full(len(slope), np.inf), np.zeros(len(slope))
+    least = np.full(len(slope), np.inf)
+    friction = np.zeros(len(slope))
     for phase in phases:
         force = chain.ground_force(*phase.motion, slope)
         least = np.minimum(least, -greatest(-force.imag)[0])
@@ -332,21 +370,23 @@ def _of_ground_force(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> A
     return {"least_normal_force": least, "friction_demand": friction}
 
 
-def _of_lock(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
+def _of_lock(chain: Chain, phases: list[_Phase], slope: ndarray) -> Arrays:
     """Item 3: the largest torque that would unlock the stance knee, and when."""
-    torque, when = np.full(len(slope), -np.inf), np.zeros(len(slope))
+    torque = np.full(len(slope), -np.inf)
+    when = np.zeros(len(slope))
     for phase in phases:
         worst, position = greatest(-chain.holding(*phase.motion, slope))
         is_worse = worst > torque
         torque = np.where(is_worse, worst, torque)
 
-        begin, end = phase.time[0], phase.time[-1]
+        begin = phase.time[0]
+        end = phase.time[-1]
         time = begin + position / (len(phase.time) - 1) * (end - begin)
         when = np.where(is_worse, time, when)
     return {"unlocking_torque": torque, "unlocking_torque_time": when}
 
 
-def _least_inside(depth: np.ndarray) -> np.ndarray:
+def _least_inside(depth: ndarray) -> ndarray:
     """Least height of a foot where it is lowest within a phase, by its sampled depth;
     NaN where it is so nowhere.
     """
@@ -355,7 +395,7 @@ def _least_inside(depth: np.ndarray) -> np.ndarray:
     return np.where(is_low.any(axis=0), -greatest(depth, is_low)[0], np.nan)
 
 
-def _at_kneestrike(chain: Chain, phases: list[_Phase]) -> np.ndarray:
+def _at_kneestrike(chain: Chain, phases: list[_Phase]) -> ndarray:
     """Height of the foot at kneestrike if it falls before and rises after it, else NaN."""
     if not chain.kneed:
         return np.full(phases[0].q.shape[-1], np.nan)
@@ -369,7 +409,7 @@ def _at_kneestrike(chain: Chain, phases: list[_Phase]) -> np.ndarray:
 def _impacts(
     chain: Chain,
     phases: list[_Phase],
-    impact: np.ndarray,
+    impact: ndarray,
     push: PushOff | None,
 ) -> Arrays:
     """Items 2 and 3 at the impacts, and what the push-off asks of the ground."""
@@ -400,8 +440,9 @@ def _impacts(
 
 
 def flags(
-    amounts: Mapping[str, np.ndarray], limits: Mapping[str, float] | None = None
-) -> np.ndarray:
+    amounts: Mapping[str, ndarray],
+    limits: Mapping[str, float] | None = None,
+) -> ndarray:
     """Bits of the assumptions that gaits violate by more than their limits.
 
     Parameters
@@ -428,10 +469,10 @@ def flags(
 
 def measure(
     walker: Walker,
-    motion: list[np.ndarray],
-    impact: np.ndarray,
-    times: np.ndarray,
-    slope: np.ndarray,
+    motion: list[ndarray],
+    impact: ndarray,
+    times: ndarray,
+    slope: ndarray,
     limits: Mapping[str, float] | None = None,
     push: PushOff | None = None,
 ) -> Arrays:
@@ -501,8 +542,8 @@ def measure(
 def _amounts(
     chain: Chain,
     phases: list[_Phase],
-    impact: np.ndarray,
-    slope: np.ndarray,
+    impact: ndarray,
+    slope: ndarray,
     push: PushOff | None,
 ) -> Arrays:
     """Every item of Appendix A, over leg, mass and g."""
@@ -512,7 +553,9 @@ def _amounts(
 
 def _units(walker: Walker) -> dict[str, float]:
     """Unit of each kind of quantity inside the solver, in the walker's units."""
-    length, time, mass = walker.leg, walker.time_unit, walker.total_mass
+    length = walker.leg
+    time = walker.time_unit
+    mass = walker.total_mass
     return {
         "length": length,
         "time": time,

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.walkers.walker import Walker
@@ -36,11 +37,13 @@ class Chain:
     """
 
     def __init__(self, walker: Walker):
-        self.kneed, self.massless = walker.knees, walker.massless_leg
+        self.kneed = walker.knees
+        self.massless = walker.massless_leg
         self.locks_trailing_knee = walker.locks_trailing_knee
         self.frees_trailing_knee = walker.frees_trailing_knee
 
-        self.R, self.l = walker.R / walker.leg, walker.l / walker.leg
+        self.R = walker.R / walker.leg
+        self.l = walker.l / walker.leg
         knee = walker.knee / walker.leg
         #: Foot centre from the knee, in the frame of the extended leg.
         self.foot = -1j * self.l - knee
@@ -50,29 +53,19 @@ class Chain:
         self._weigh(walker, knee)
         self._drive(walker)
 
-    def _weigh(self, walker: Walker, knee: complex | np.ndarray) -> None:
+    def _weigh(self, walker: Walker, knee: complex | ndarray) -> None:
         """Set first moments and products of the arms of the centres of mass."""
-        leg, mass = walker.leg, walker.total_mass
-        foot = self.foot
-        thigh = walker.thigh_centre / leg
-        shank = walker.shank_centre / leg
-        #: Of stance shank, stance thigh, hip, swing thigh and swing shank.
-        centres: list[list[Any]] = [
-            [shank - foot, 0, 0, 0],
-            [-foot, thigh - knee, 0, 0],
-            [-foot, -knee, 0, 0],
-            [-foot, -knee, thigh, 0],
-            [-foot, -knee, knee, shank],
-        ]
-        m_t, m_s, m_h = walker.m_t / mass, walker.m_s / mass, walker.m_h / mass
+        leg = walker.leg
+        m_t, m_s, m_h = _masses(walker)
         I_t = m_t * (walker.r_t / leg) ** 2
         I_s = m_s * (walker.r_s / leg) ** 2
+        rows = _arms(walker, self.foot, knee)
 
         # Of an array of walkers those constants that all share are numbers.
-        shape = np.shape(leg + mass + I_t + I_s + 0 * (knee + thigh + shank))
-        arms = np.stack([_of_shape(shape, row) for row in centres])
+        used = [m_t, m_s, m_h, I_t, I_s, *rows[1], *rows[4]]
+        shape = np.broadcast_shapes(*map(np.shape, used))
+        arms = np.stack([_of_shape(shape, row) for row in rows])
         masses = _of_shape(shape, [m_s, m_t, m_h, m_t, m_s])
-
         self.S = total(masses[:, None] * arms)
         self.K = total(
             arm.conj()[:, None] * mass * arm
@@ -103,16 +96,19 @@ class Chain:
         at_rest = walker.hip_stiffness * walker.hip_rest
         self.hip_bias = (at_rest + walker.hip_torque) * unit
 
-    def hip_torque(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    def hip_torque(self, q: ndarray, rate: ndarray) -> ndarray:
         """Torque between the thighs, on the swing leg; of a massless one over its
         inertia.
         """
-        between, opening = q[2] - q[THIGH], rate[2] - rate[THIGH]
+        between = q[2] - q[THIGH]
+        opening = rate[2] - rate[THIGH]
         of_spring = self.hip_stiffness * between
         return self.hip_bias - of_spring - self.hip_damping * opening
 
     def _take_shank_of_unit_mass(
-        self, arms: np.ndarray, radius: float | np.ndarray
+        self,
+        arms: ndarray,
+        radius: float | ndarray,
     ) -> None:
         """Set the rows of the swing leg to those of a shank of unit mass, by the arms of
         its centre, (4, ...), and its radius of gyration.
@@ -125,7 +121,7 @@ class Chain:
         """Links that move as one, by their indices."""
         return [[0, 1], [2], [3]] if free_knee else [[0, 1], [2, 3]]
 
-    def matrix(self, q: np.ndarray) -> list[list[np.ndarray]]:
+    def matrix(self, q: ndarray) -> list[list[ndarray]]:
         """Mass matrix of the four links.
 
         Parameters
@@ -149,8 +145,11 @@ class Chain:
         return M
 
     def force(
-        self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray
-    ) -> list[np.ndarray]:
+        self,
+        q: ndarray,
+        rate: ndarray,
+        slope: ndarray,
+    ) -> list[ndarray]:
         """Right-hand side f of M q'' = f.
 
         Parameters
@@ -185,8 +184,12 @@ class Chain:
         return f
 
     def accelerations(
-        self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray, free_knee: bool
-    ) -> np.ndarray:
+        self,
+        q: ndarray,
+        rate: ndarray,
+        slope: ndarray,
+        free_knee: bool,
+    ) -> ndarray:
         """Angular accelerations of the four links with the stance knee locked.
 
         Parameters
@@ -200,12 +203,13 @@ class Chain:
         -------
         ndarray, shape (4, ...) [rad g/leg]
         """
-        f, groups = self.force(q, rate, slope), self.groups(free_knee)
+        f = self.force(q, rate, slope)
+        groups = self.groups(free_knee)
         x = solve(_group(self.matrix(q), groups), _of_groups(f, groups))
         sizes = [len(group) for group in groups]
         return np.repeat(np.stack(x), sizes, axis=0)
 
-    def momentum(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    def momentum(self, q: ndarray, rate: ndarray) -> ndarray:
         """Linear momentum, complex, over mass and sqrt(leg g).
 
         Parameters
@@ -218,7 +222,7 @@ class Chain:
         """
         return total(rate * self.levers(q))
 
-    def levers(self, q: np.ndarray) -> np.ndarray:
+    def levers(self, q: ndarray) -> ndarray:
         """Linear momentum, complex, that a unit rate of each link gives.
 
         Parameters
@@ -236,11 +240,11 @@ class Chain:
 
     def ground_force(
         self,
-        q: np.ndarray,
-        rate: np.ndarray,
-        acceleration: np.ndarray,
-        slope: np.ndarray,
-    ) -> np.ndarray:
+        q: ndarray,
+        rate: ndarray,
+        acceleration: ndarray,
+        slope: ndarray,
+    ) -> ndarray:
         """Force of the ground on the stance foot, complex, over weight.
 
         Parameters
@@ -260,11 +264,11 @@ class Chain:
 
     def holding(
         self,
-        q: np.ndarray,
-        rate: np.ndarray,
-        acceleration: np.ndarray,
-        slope: np.ndarray,
-    ) -> np.ndarray:
+        q: ndarray,
+        rate: ndarray,
+        acceleration: ndarray,
+        slope: ndarray,
+    ) -> ndarray:
         """Torque of the stance knee's lock on the thigh; negative where no stop could
         give it.
 
@@ -277,12 +281,16 @@ class Chain:
         -------
         ndarray, shape (...) [weight leg]
         """
-        M, f = self.matrix(q), self.force(q, rate, slope)
+        M = self.matrix(q)
+        f = self.force(q, rate, slope)
         return total(M[THIGH][j] * acceleration[j] for j in range(4)) - f[THIGH]
 
     def compliance(
-        self, q: np.ndarray, rows: list[np.ndarray], free_knee: bool
-    ) -> list[list[np.ndarray]]:
+        self,
+        q: ndarray,
+        rows: list[ndarray],
+        free_knee: bool,
+    ) -> list[list[ndarray]]:
         """Rates along some rows for a unit impulse along each, stance knee locked: r
         M^-1 r^T.
 
@@ -308,7 +316,7 @@ class Chain:
             compliance.append([total(np.stack(impulse) * x) for x in responses])
         return compliance
 
-    def height(self, q: np.ndarray) -> np.ndarray:
+    def height(self, q: ndarray) -> ndarray:
         """Height of the swing foot's lowest point over leg, without cancellation for
         short steps.
 
@@ -320,11 +328,13 @@ class Chain:
         -------
         ndarray, shape (...)
         """
-        a, b, c = q[0], q[2], q[3]
+        a = q[0]
+        b = q[2]
+        c = q[3]
         bent = 2 * np.sin((c - b) / 2) * (self.foot * np.exp(0.5j * (b + c))).real
         return -2 * self.l * np.sin((a + b) / 2) * np.sin((a - b) / 2) + bent
 
-    def rise(self, q: np.ndarray) -> np.ndarray:
+    def rise(self, q: ndarray) -> ndarray:
         """Derivative of the swing foot's height by the four angles.
 
         Parameters
@@ -339,8 +349,11 @@ class Chain:
         return np.stack([(arm * e[j]).real for j, arm in enumerate(self.to_foot)])
 
     def lift(
-        self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
-    ) -> np.ndarray:
+        self,
+        q: ndarray,
+        rate: ndarray,
+        acceleration: ndarray,
+    ) -> ndarray:
         """Second derivative of the swing foot's height by time, over g.
 
         Parameters
@@ -358,14 +371,40 @@ class Chain:
         return total(self.rise(q) * acceleration) - turning
 
 
-def _of_shape(shape: tuple[int, ...], values: Sequence[Any]) -> np.ndarray:
+def _masses(walker: Walker) -> tuple[Any, Any, Any]:
+    """Masses of thigh, shank and hip, over the walker's."""
+    mass = walker.total_mass
+    return walker.m_t / mass, walker.m_s / mass, walker.m_h / mass
+
+
+def _arms(
+    walker: Walker,
+    foot: complex | ndarray,
+    knee: complex | ndarray,
+) -> list[list[Any]]:
+    """Arms, link by link, of the centres of mass of stance shank, stance thigh, hip,
+    swing thigh and swing shank, from the centre of the stance foot.
+    """
+    thigh = walker.thigh_centre / walker.leg
+    shank = walker.shank_centre / walker.leg
+    return [
+        [shank - foot, 0, 0, 0],
+        [-foot, thigh - knee, 0, 0],
+        [-foot, -knee, 0, 0],
+        [-foot, -knee, thigh, 0],
+        [-foot, -knee, knee, shank],
+    ]
+
+
+def _of_shape(shape: tuple[int, ...], values: Sequence[Any]) -> ndarray:
     """Numbers and arrays as one array, (n, *shape)."""
     return np.stack([np.broadcast_to(value, shape) for value in values])
 
 
 def _group(
-    M: list[list[np.ndarray]], groups: list[list[int]]
-) -> list[list[np.ndarray]]:
+    M: list[list[ndarray]],
+    groups: list[list[int]],
+) -> list[list[ndarray]]:
     """Matrix of groups of links that move as one."""
     grouped = []
     for g in groups:
@@ -377,13 +416,14 @@ def _group(
 
 
 def _of_groups(
-    values: list[np.ndarray] | np.ndarray, groups: list[list[int]]
-) -> list[np.ndarray]:
+    values: list[ndarray] | ndarray,
+    groups: list[list[int]],
+) -> list[ndarray]:
     """Sums of the links' values over groups that move as one."""
     return [total(values[i] for i in g) for g in groups]
 
 
-def solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
+def solve(A: list[list[ndarray]], b: list[ndarray]) -> list[ndarray]:
     """Solve A x = b elementwise, the first row eliminated last: in a chain that of the
     stance leg, whose coupling to a massless leg is zero.
 
@@ -396,7 +436,8 @@ def solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
     -------
     list of ndarray, shape (...)
     """
-    A, b = [list(row) for row in A], list(b)
+    A = [list(row) for row in A]
+    b = list(b)
     n = len(b)
     for k in reversed(range(1, n)):
         for i in range(k):
@@ -405,7 +446,7 @@ def solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
             for j in range(k):
                 A[i][j] = A[i][j] - factor * A[k][j]
 
-    x: list[np.ndarray] = []
+    x: list[ndarray] = []
     for i in range(n):
         for j in range(i):
             b[i] = b[i] - A[i][j] * x[j]

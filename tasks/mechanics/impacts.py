@@ -117,12 +117,15 @@ def _on_ground(p: Symbols, angle: Sym, old_angle: Sym | None) -> tuple[_Leg, _Le
         old = _Leg(p, p.scale * old_angle)
         cosines = p.R * p.l * (new.cosine + old.cosine)
         between = new.angle - old.angle
-    return new, old, p.R**2.0 + cosines + p.l**2.0 * hy.cos(between)
+    hips = p.R**2.0 + cosines + p.l**2.0 * hy.cos(between)
+    return new, old, hips
 
 
 def _links(p: Symbols) -> list[tuple[Vector, Sym]]:
     """First moments of thigh and shank, and inertias with which both turn together."""
-    return [(p.S_b, p.C_bb + p.H.x), (p.S_c, p.C_cc + p.H.x)]
+    thigh = (p.S_b, p.C_bb + p.H.x)
+    shank = (p.S_c, p.C_cc + p.H.x)
+    return [thigh, shank]
 
 
 def _pushed(momentum: list[Sym], p: Symbols, new: _Leg, old: _Leg) -> list[Sym]:
@@ -166,7 +169,11 @@ class _Leg:
         return S.rotate(self.sine, self.cosine).normal()
 
 
-def kneestrike(p: Symbols, q: list[Sym], rate: list[Sym]) -> list[Sym]:
+def kneestrike(
+    p: Symbols,
+    q: list[Sym],
+    rate: list[Sym],
+) -> list[Sym]:
     """Rates of the stance and the locked swing leg just after kneestrike.
 
     Parameters

@@ -5,6 +5,7 @@ sequence to distribute states.
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.locate import settle_on_branches
@@ -20,7 +21,7 @@ NO_START = "no gait to start from"
 _GOLDEN_RATIO = {2: 1.32471795724474602596, 3: 1.22074408460575947536}
 
 
-def r_sequence(m: int, count: int) -> np.ndarray:
+def r_sequence(m: int, count: int) -> ndarray:
     """Return the first points of a low-discrepancy sequence in the unit cube.
 
     Returns
@@ -38,8 +39,10 @@ def r_sequence(m: int, count: int) -> np.ndarray:
 
 
 def labelled(
-    problem: Problem, branches: list[Branch], slope: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray, Polished]]:
+    problem: Problem,
+    branches: list[Branch],
+    slope: ndarray,
+) -> list[tuple[ndarray, ndarray, Polished]]:
     """Find a line's gaits at given slopes, piece by piece.
 
     Parameters
@@ -56,7 +59,7 @@ def labelled(
         be a step; and these gaits.
     """
     found = []
-    angles, ratios = [], []
+    keys = []
     for branch in branches:
         for index, Z, segment in branch.guesses(np.log(slope)):
             guesses = branch.known_guesses(Z, segment, slope[index])
@@ -64,27 +67,40 @@ def labelled(
             verified = at.converged & at.step
             found.append((index, verified, at))
 
-            # As in `points`, one that is lost still counts for the labels of the
-            # others, as its branch's gait.
-            angle, ratio = np.full((2, len(slope)), np.nan)
-            is_anthropomorphic = ~at.step | (at.leg_passes == 1)
-            angle[index] = np.where(is_anthropomorphic, Z[0], np.nan)
-            of_branch = branch.ratio_on(segment)
-            ratio[index] = np.where(verified, gait_ratio(at.stride), of_branch)
-            angles.append(angle)
-            ratios.append(ratio)
+            key = np.full((2, len(slope)), np.nan)
+            key[:, index] = _angles_and_ratios(at, Z, branch.ratio_on(segment))
+            keys.append(key)
 
-    shape = (len(found), len(slope))
-    every = places(np.reshape(angles, shape), np.reshape(ratios, shape))
-    return [
-        (index, np.where(verified, place[index], -1), at)
-        for place, (index, verified, at) in zip(every, found, strict=True)
-    ]
+    angles, ratios = np.reshape(keys, (-1, 2, len(slope))).swapaxes(0, 1)
+    parts = []
+    for place, part in zip(places(angles, ratios), found, strict=True):
+        index, verified, at = part
+        parts.append((index, np.where(verified, place[index], -1), at))
+    return parts
+
+
+def _angles_and_ratios(at: Polished, Z: ndarray, ratio: ndarray) -> ndarray:
+    """What labels gaits, shape (2, k), by their branch's points (c, k) and ratios (k,).
+
+    As in `points`, one that is lost still counts for the labels of the others, as its
+    branch's gait.
+    """
+    is_anthropomorphic = ~at.step | (at.leg_passes == 1)
+    verified = at.converged & at.step
+    return np.stack(
+        [
+            np.where(is_anthropomorphic, Z[0], np.nan),
+            np.where(verified, gait_ratio(at.stride), ratio),
+        ]
+    )
 
 
 def gaits_at(
-    problem: Problem, branches: list[Branch], slope: np.ndarray, label: str
-) -> tuple[np.ndarray, np.ndarray]:
+    problem: Problem,
+    branches: list[Branch],
+    slope: ndarray,
+    label: str,
+) -> tuple[ndarray, ndarray]:
     """Find a line's gaits of one label at given slopes.
 
     Parameters

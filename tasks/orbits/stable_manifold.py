@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.orbits.walk import Walk
@@ -38,12 +39,12 @@ class Saddle(NamedTuple):
         The unstable one.
     """
 
-    y: np.ndarray
-    along: np.ndarray
+    y: ndarray
+    along: ndarray
     multiplier: float
 
 
-def saddle_at(problem: Problem, y: np.ndarray, slope: float) -> Saddle | None:
+def saddle_at(problem: Problem, y: ndarray, slope: float) -> Saddle | None:
     """A gait as a saddle; None if not one.
 
     Parameters
@@ -71,8 +72,11 @@ def saddle_at(problem: Problem, y: np.ndarray, slope: float) -> Saddle | None:
 
 
 def stable_manifold(
-    problem: Problem, saddle: Saddle, slope: float, grid: np.ndarray
-) -> np.ndarray:
+    problem: Problem,
+    saddle: Saddle,
+    slope: float,
+    grid: ndarray,
+) -> ndarray:
     """Points of a saddle's stable manifold on the lines of a grid of initial
     conditions.
 
@@ -95,7 +99,8 @@ def stable_manifold(
     from there approaches the saddle, which one from an edge of falling does not.
     """
     a, b, at_a, at_b = _brackets(problem, saddle, slope, grid)
-    best, nearest = a, np.full(a.shape[1], np.inf)
+    best = a
+    nearest = np.full(a.shape[1], np.inf)
     if not a.shape[1]:
         return best
 
@@ -107,14 +112,18 @@ def stable_manifold(
 
         changes = at_x * at_b < 0
         # An end kept twice counts half, else it would stay for ever.
-        a, at_a = np.where(changes, b, a), np.where(changes, at_b, 0.5 * at_a)
+        a = np.where(changes, b, a)
+        at_a = np.where(changes, at_b, 0.5 * at_a)
         b, at_b = x, at_x
     return best[:, nearest < _REACHED]
 
 
 def _brackets(
-    problem: Problem, saddle: Saddle, slope: float, grid: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    problem: Problem,
+    saddle: Saddle,
+    slope: float,
+    grid: ndarray,
+) -> tuple[ndarray, ndarray, ndarray, ndarray]:
     """Neighbours of a grid whose orbits leave the saddle to different sides.
 
     Returns
@@ -140,8 +149,11 @@ def _brackets(
 
 
 def _leave(
-    problem: Problem, saddle: Saddle, slope: float, y: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    problem: Problem,
+    saddle: Saddle,
+    slope: float,
+    y: ndarray,
+) -> tuple[ndarray, ndarray]:
     """Where along the unstable direction orbits leave the saddle, and how near they
     come to it.
 
@@ -159,7 +171,8 @@ def _leave(
         Least distance from the saddle over its norm.
     """
     n = y.shape[1]
-    leaves, nearest = np.full(n, np.nan), np.full(n, np.inf)
+    leaves = np.full(n, np.nan)
+    nearest = np.full(n, np.inf)
     walk = Walk(problem, y, np.full(n, slope))
     for taken in walk.steps(_MAX_STEPS):
         lanes = walk.lanes

@@ -223,7 +223,10 @@ class _Way:
 
     def __init__(self, body: Body, region: Region, accuracy: Accuracy):
         m, events = dimensions(body)
-        self._body, self._region, self._accuracy, self._m = body, region, accuracy, m
+        self._body = body
+        self._region = region
+        self._accuracy = accuracy
+        self._m = m
         self._directions, self._slopes, self._spread = _directions(region, m + events)
         self.state, by_section = start(body, region.box[:m])
         self.centre, _ = start(body, region.middle[:m])
@@ -232,7 +235,9 @@ class _Way:
 
     def to_event(self, k: int) -> Flow:
         """Carry everything through a phase to the event that ends it."""
-        body, box, middle = self._body, self._region.box, self._region.middle
+        body = self._body
+        box = self._region.box
+        middle = self._region.middle
         m = self._m
         phase = flow(
             body,
@@ -326,7 +331,10 @@ def _by_image(body: Body, end: State, V: arb_mat, m: int) -> list[list[arb]]:
 
 
 def _locked(
-    body: Body, V: arb_mat, before: State, centre: State
+    body: Body,
+    V: arb_mat,
+    before: State,
+    centre: State,
 ) -> tuple[arb_mat, State, State]:
     """Derivatives, states and the middle's state just after kneestrike."""
     law, by_stance, by_swing = kneestrike(body, *before[:2])

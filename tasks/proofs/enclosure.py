@@ -112,22 +112,17 @@ def flow(
     step = longest = MAX_STEP * body.time_unit
     while len(pieces) < MAX_STEPS:
         remaining = (end - time).upper()
-        # The last step holds the whole bracket of the event, so it is no shorter than
-        # half the others.
-        h = remaining
-        if not remaining <= step:
-            h = arb(min(step, float(remaining) / 2))
+        h = _next_length(remaining, step)
         thin = Motion(body, slopes[0], middle, order - 1)
         wide = Motion(body, slopes[1], state, order - 1)
         change = Variation(wide, derivative, by_slope, order - 1)
         h, (rest, rest_derivative), excess = _fitting(change, h, accuracy)
-        piece = Piece(time, h, _closed(wide, rest))
-        pieces.append(piece)
+        pieces.append(Piece(time, h, _closed(wide, rest)))
 
         is_last = h is remaining
         of_middle, of_all = _left(duration, time) if is_last else (h, h)
-        middle = [evaluate(series, of_middle) for series in _closed(thin, rest)]
-        state = [evaluate(series, of_all) for series in piece.series]
+        middle = _evaluated(_closed(thin, rest), of_middle)
+        state = _evaluated(pieces[-1].series, of_all)
         derivative = evaluate([*change.terms, rest_derivative], of_all)
         if is_last:
             return Flow(middle, state, derivative, pieces)
@@ -135,6 +130,17 @@ def flow(
         time = time + h
         step = min(longest, float(h) * _longer(excess, order))
     raise NotProvedError(f"The phase takes more than {MAX_STEPS} Taylor steps.")
+
+
+def _next_length(remaining: arb, longest: float) -> arb:
+    """Length of the next step: all that remains, if that is no more than the longest.
+
+    The last step holds the whole bracket of the event, so it is no shorter than half the
+    others.
+    """
+    if remaining <= longest:
+        return remaining
+    return arb(min(longest, float(remaining) / 2))
 
 
 def _left(duration: tuple[arb, arb], time: arb) -> tuple[arb, arb]:
@@ -199,6 +205,11 @@ def narrower(
         min(x, c + d, key=lambda ball: float(ball.rad()))
         for x, c, d in zip(state, middle, away, strict=True)
     ]
+
+
+def _evaluated(series: list[Series], t: arb) -> State:
+    """Values of several series."""
+    return [evaluate(each, t) for each in series]
 
 
 def _closed(motion: Motion, rest: State) -> list[Series]:

@@ -27,16 +27,22 @@ def step_derivative(derivative: arb_mat, m: int, events: int) -> arb_mat:
         If the strikes' rates are not told from zero.
     """
     rows = derivative.tolist()
-    guards, image = rows[:events], rows[events:]
+    guards = rows[:events]
+    image = rows[events:]
     guard_x, guard_t = _split(guards, m, events)
     image_x, image_t = _split(image, m, events)
     return image_x - image_t * guard_t.inv() * guard_x
 
 
-def _split(rows: list[list[arb]], m: int, events: int) -> tuple[arb_mat, arb_mat]:
+def _split(
+    rows: list[list[arb]],
+    m: int,
+    events: int,
+) -> tuple[arb_mat, arb_mat]:
     """Derivatives by section state and by event times."""
-    by_state = arb_mat([row[:m] for row in rows])
-    return by_state, arb_mat([row[m : m + events] for row in rows])
+    by_state = [row[:m] for row in rows]
+    by_times = [row[m : m + events] for row in rows]
+    return arb_mat(by_state), arb_mat(by_times)
 
 
 def characteristic(matrix: arb_mat) -> list[arb]:
@@ -55,7 +61,8 @@ def characteristic(matrix: arb_mat) -> list[arb]:
         return [arb(1), -matrix.trace(), matrix.det()]
     minors = arb(0)
     for i, j in ((0, 1), (0, 2), (1, 2)):
-        minors += a[i][i] * a[j][j] - a[i][j] * a[j][i]
+        diagonal = a[i][i] * a[j][j]
+        minors += diagonal - a[i][j] * a[j][i]
     return [arb(1), -matrix.trace(), minors, -matrix.det()]
 
 
@@ -83,7 +90,8 @@ def _may_be_paired(z: acb, found: list[acb]) -> bool:
     """Whether a multiplier's conjugate, which is one too, may lie in the ball of another;
     if not, it is the multiplier itself, which is real.
     """
-    return any(z.conjugate().overlaps(x) for x in found if x is not z)
+    others = [x for x in found if x is not z]
+    return any(z.conjugate().overlaps(x) for x in others)
 
 
 def is_stable(matrix: arb_mat) -> bool | None:
@@ -106,9 +114,12 @@ def is_stable(matrix: arb_mat) -> bool | None:
     fails strictly puts a multiplier outside.
     """
     p = characteristic(matrix)
-    margins = [sum(p, arb(0)), flip_function(matrix), 1 - abs(p[-1])]
+    at_one = sum(p, arb(0))
+    at_minus_one = flip_function(matrix)
+    margins = [at_one, at_minus_one, 1 - abs(p[-1])]
     if len(p) == 4:
-        margins.append(1 - p[3] ** 2 - abs(p[3] * p[1] - p[2]))
+        left = abs(p[3] * p[1] - p[2])
+        margins.append(1 - p[3] ** 2 - left)
     if all(x > 0 for x in margins):
         return True
     if any(x < 0 for x in margins[:3]) or _last_fails(margins):

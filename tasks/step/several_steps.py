@@ -13,6 +13,7 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.mechanics.sums import matvec
 from gaitsweep.tasks.step.step_map import Stride, StrideMap
@@ -33,8 +34,8 @@ class Strides:
     """
 
     one: Stride
-    y: np.ndarray
-    guessed: np.ndarray
+    y: ndarray
+    guessed: ndarray
 
     @property
     def steps(self) -> int:
@@ -47,22 +48,26 @@ class Strides:
         ones.
         """
         lanes = self.steps * self.y.shape[1]
-        return self.one.mapped(lambda values: values.reshape(*values.shape[:-2], lanes))
+
+        def in_lanes(values: ndarray) -> ndarray:
+            return values.reshape(*values.shape[:-2], lanes)
+
+        return self.one.mapped(in_lanes)
 
     @property
-    def closing(self) -> np.ndarray:
+    def closing(self) -> ndarray:
         """Rates of the guards at the strikes, shape (k, n)."""
         return _in_a_row(self.one.closing)
 
     @property
-    def image(self) -> np.ndarray:
+    def image(self) -> ndarray:
         """Where the steps lead, each at the place of the section after it, shape (m,
         n).
         """
         return np.asarray(self.residual[: len(self.y)] + self.y)
 
     @property
-    def jacobian(self) -> np.ndarray:
+    def jacobian(self) -> ndarray:
         """Derivative of all steps, one after another, by the first section, shape (m/s,
         m/s, n).
         """
@@ -72,22 +77,25 @@ class Strides:
         return np.asarray(product)
 
     @functools.cached_property
-    def times(self) -> np.ndarray:
+    def times(self) -> ndarray:
         """Event times, corrected, shape (k, n)."""
-        begins = np.cumsum(self.one.times[-1], axis=0) - self.one.times[-1]
+        periods = self.one.times[-1]
+        begins = np.cumsum(periods, axis=0) - periods
         return _in_a_row(self.one.times + begins)
 
     @functools.cached_property
-    def residual(self) -> np.ndarray:
+    def residual(self) -> ndarray:
         """Of the joint equations: of each section how far the step before it misses it,
         and the guards, (m + k, n).
         """
         m = len(self.one.y)
-        missed = np.roll(self.one.residual[:m] + self.one.y, 1, axis=1) - self.one.y
-        return np.vstack([_in_a_row(missed), _in_a_row(self.one.residual[m:])])
+        image = self.one.residual[:m] + self.one.y
+        missed = np.roll(image, 1, axis=1) - self.one.y
+        guards = self.one.residual[m:]
+        return np.vstack([_in_a_row(missed), _in_a_row(guards)])
 
     @functools.cached_property
-    def derivative(self) -> np.ndarray:
+    def derivative(self) -> ndarray:
         """Of the residual by y, the event times and the slope, shape (m + k, m + k + 1,
         n).
         """
@@ -97,7 +105,8 @@ class Strides:
         # takes its place.
         of_one = np.arange(m)
         by[of_one, of_one] += 1.0
-        missed = self._in_places(np.roll(by[:m], 1, axis=2), 1)
+        before = np.roll(by[:m], 1, axis=2)
+        missed = self._in_places(before, 1)
         guards = self._in_places(by[m:], 0)
 
         out = np.concatenate([*missed, *guards])
@@ -105,15 +114,18 @@ class Strides:
         out[of_all, of_all] -= 1.0
         return out
 
-    def _in_places(self, by: np.ndarray, before: int) -> np.ndarray:
+    def _in_places(self, by: ndarray, before: int) -> ndarray:
         """Derivatives of values of every step by all unknowns, shape (s, i, m + k + 1,
         n).
 
         They are given (i, j, s, n) by the section, event times and slope of the same
         step, or of one step `before`.
         """
-        s, m, n = self.steps, len(self.one.y), by.shape[-1]
-        i, k = len(by), by.shape[1] - 1 - m
+        s = self.steps
+        m = len(self.one.y)
+        n = by.shape[-1]
+        i = len(by)
+        k = by.shape[1] - 1 - m
         by = by.transpose(2, 0, 1, 3)
         step = np.arange(s)
         sections = np.zeros((s, i, s, m, n))
@@ -128,24 +140,24 @@ class Strides:
         return np.concatenate([by_sections, by_times, by[:, :, -1:]], axis=2)
 
     @functools.cached_property
-    def inverse(self) -> np.ndarray:
+    def inverse(self) -> ndarray:
         """How far a residual moves the fixed point's y and its event times, shape (m +
         k, m + k, n).
         """
         return -_inverse(self.derivative[:, :-1])
 
     @functools.cached_property
-    def _moved(self) -> np.ndarray:
+    def _moved(self) -> ndarray:
         """Newton step of y and the event times, shape (m + k, n)."""
         return matvec(self.inverse, self.residual)
 
     @property
-    def newton(self) -> np.ndarray:
+    def newton(self) -> ndarray:
         """Newton step of y, shape (m, n)."""
         return self._moved[: len(self.y)]
 
     @property
-    def newton_times(self) -> np.ndarray:
+    def newton_times(self) -> ndarray:
         """The event times after it, shape (k, n)."""
         return np.asarray(self.guessed + self._moved[len(self.y) :])
 
@@ -153,30 +165,33 @@ class Strides:
         """Correct the states at the impacts to the fixed point."""
         shape = self.steps, len(self.one.y), self.y.shape[1]
         newton = self.newton.reshape(shape).swapaxes(0, 1)
-        self.one.impact = self.one.impact + matvec(self.one.impact_by_y, newton)
-        self.one.knee = self.one.knee + matvec(self.one.knee_by_y, newton)
+        one = self.one
+        one.impact = one.impact + matvec(one.impact_by_y, newton)
+        one.knee = one.knee + matvec(one.knee_by_y, newton)
 
 
 #: What was evaluated of a gait: its step, or its steps.
 AnyStride = Stride | Strides
 
 
-def side_by_side(values: np.ndarray, steps: int) -> np.ndarray:
+def side_by_side(values: ndarray, steps: int) -> ndarray:
     """Values (s i, n) of steps in a row in lanes (i, s n): the first steps of all
     gaits, then the second ones.
     """
-    i, n = len(values) // steps, values.shape[1]
-    return values.reshape(steps, i, n).swapaxes(0, 1).reshape(i, steps * n)
+    i = len(values) // steps
+    n = values.shape[1]
+    of_steps = values.reshape(steps, i, n)
+    return of_steps.swapaxes(0, 1).reshape(i, steps * n)
 
 
-def _in_a_row(values: np.ndarray) -> np.ndarray:
+def _in_a_row(values: ndarray) -> ndarray:
     """Values (i, s, n) of every step, those of one after those of the step before: (s
     i, n).
     """
     return np.concatenate([*values.swapaxes(0, 1)])
 
 
-def _inverse(matrices: np.ndarray) -> np.ndarray:
+def _inverse(matrices: ndarray) -> ndarray:
     """Inverses of matrices (i, i, n); NaN where there is none."""
     each = matrices.transpose(2, 0, 1)
     out = np.full(each.shape, np.nan)
@@ -196,19 +211,21 @@ class StepSequence:
     """
 
     def __init__(self, single: StrideMap, steps: int):
-        self.single, self.steps, self.m = single, steps, steps * single.m
+        self.single = single
+        self.steps = steps
+        self.m = steps * single.m
         #: Of the state just after a heelstrike.
         self.start_size = single.start_size
 
-    def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+    def start(self, y: ndarray, parameters: ndarray) -> ndarray:
         """What `StrideMap.start` gives of the first section."""
         return self.single.start(y[: self.single.m], parameters)
 
     def __call__(
         self,
-        y: np.ndarray,
-        times: np.ndarray,
-        parameters: np.ndarray,
+        y: ndarray,
+        times: ndarray,
+        parameters: ndarray,
         slope: bool = False,
         samples: int = 0,
         coarse: bool = False,
@@ -216,21 +233,31 @@ class StepSequence:
         """Evaluate steps as `StrideMap` does, of sections (m, n) and event times (k, n)
         of all steps.
         """
-        s, n = self.steps, y.shape[1]
-        m, k = self.single.m, len(times) // s
-        begins = np.vstack([np.zeros((1, n)), times[k - 1 : -1 : k]])
+        s = self.steps
+        n = y.shape[1]
+        m = self.single.m
+        k = len(times) // s
+        last_strikes = times[k - 1 : -1 : k]
+        begins = np.vstack([np.zeros((1, n)), last_strikes])
         durations = times - np.repeat(begins, k, axis=0)
-        parts = side_by_side(y, s), side_by_side(durations, s), np.tile(parameters, s)
+        inputs = np.vstack(
+            [
+                side_by_side(y, s),
+                side_by_side(durations, s),
+                np.tile(parameters, s),
+            ]
+        )
 
         # Lanes of differences share most of their steps.
-        inputs, place = np.unique(np.vstack(parts), axis=1, return_inverse=True)
+        inputs, place = np.unique(inputs, axis=1, return_inverse=True)
         of_steps = inputs[:m], inputs[m : m + k], inputs[m + k :]
         one = self.single(*of_steps, slope, samples, coarse)
         place = place.reshape(s, n)
-        return Strides(one.mapped(lambda values: values[..., place]), y, times.copy())
+        every = one.mapped(lambda values: values[..., place])
+        return Strides(every, y, times.copy())
 
 
-def sections(w: np.ndarray, m: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
+def sections(w: ndarray, m: int, steps: int) -> tuple[ndarray, ndarray]:
     """Take apart similarity coordinates of gaits of several steps.
 
     Parameters
@@ -246,12 +273,17 @@ def sections(w: np.ndarray, m: int, steps: int) -> tuple[np.ndarray, np.ndarray]
     durations : ndarray, shape (s, k/s, n) [sqrt(leg/g)]
         Of the phases.
     """
-    n, phases = w.shape[1], len(w) - m
-    y = np.vstack([np.ones((1, n)), w[1:m]]).reshape(steps, m // steps, n)
-    return y, np.diff(w[m:], axis=0, prepend=0).reshape(steps, phases // steps, n)
+    n = w.shape[1]
+    phases = len(w) - m
+    y = np.vstack([np.ones((1, n)), w[1:m]])
+    durations = np.diff(w[m:], axis=0, prepend=0)
+    return (
+        y.reshape(steps, m // steps, n),
+        durations.reshape(steps, phases // steps, n),
+    )
 
 
-def begun_at(w: np.ndarray, m: int, steps: int, first: np.ndarray | int) -> np.ndarray:
+def begun_at(w: ndarray, m: int, steps: int, first: ndarray | int) -> ndarray:
     """Similarity coordinates of the same gaits begun at another of their steps.
 
     Parameters
@@ -274,8 +306,10 @@ def begun_at(w: np.ndarray, m: int, steps: int, first: np.ndarray | int) -> np.n
 
 
 def joined(
-    log_unit: np.ndarray | float, y: np.ndarray, durations: np.ndarray
-) -> np.ndarray:
+    log_unit: ndarray | float,
+    y: ndarray,
+    durations: ndarray,
+) -> ndarray:
     """Put together what `sections` takes apart, with y over another angle.
 
     Parameters
@@ -294,16 +328,17 @@ def joined(
     return np.vstack([log_unit + np.log(angle), others, times])
 
 
-def distance(a: np.ndarray, b: np.ndarray, m: int, steps: int) -> float:
+def distance(a: ndarray, b: ndarray, m: int, steps: int) -> float:
     """Distance of two gaits (m + k,), whichever of their steps are the first."""
     begun = a[:, None]
     if steps > 1:
         every = np.repeat(begun, steps, axis=1)
         begun = begun_at(every, m, steps, np.arange(steps))
-    return float(np.abs(begun - b[:, None]).max(axis=0).min())
+    apart = np.abs(begun - b[:, None])
+    return float(apart.max(axis=0).min())
 
 
-def distances_of_steps(w: np.ndarray, m: int, steps: int) -> np.ndarray:
+def distances_of_steps(w: ndarray, m: int, steps: int) -> ndarray:
     """How far gaits are from repeating after fewer steps.
 
     Parameters
@@ -319,11 +354,14 @@ def distances_of_steps(w: np.ndarray, m: int, steps: int) -> np.ndarray:
     """
     y, _ = sections(w, m, steps)
     sooner = [k for k in range(1, steps) if steps % k == 0]
-    each = [np.abs(y - np.roll(y, k, axis=0)).max(axis=(0, 1)) for k in sooner]
-    return np.array(each).reshape(len(sooner), w.shape[1])
+    distances = np.zeros((len(sooner), w.shape[1]))
+    for row, k in zip(distances, sooner, strict=True):
+        missed = np.abs(y - np.roll(y, k, axis=0))
+        row[:] = missed.max(axis=(0, 1))
+    return distances
 
 
-def from_largest(w: np.ndarray, m: int, steps: int) -> np.ndarray:
+def from_largest(w: ndarray, m: int, steps: int) -> ndarray:
     """Similarity coordinates (m + k, n) of the same gaits begun at the step with the
     largest stance angle.
     """

@@ -74,7 +74,6 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     branches = atlases.from_arrays(inputs[0])
     problem = Problem(walker)
     known, gaits = gaits_at(problem, branches, slope, str(options["gait"]))
-
     starts = _starts(gaits, slope[known], options)
     walk = Walk(problem, starts.y, starts.slope)
     strides = int(options["steps"])
@@ -112,11 +111,14 @@ class _Starts(NamedTuple):
 
 
 def _starts(
-    gaits: np.ndarray, slope: np.ndarray, options: Mapping[str, Any]
+    gaits: np.ndarray,
+    slope: np.ndarray,
+    options: Mapping[str, Any],
 ) -> _Starts:
     """Initial conditions around gaits, shape (m, k), at k slopes."""
     m, k = gaits.shape
-    count, spread = int(options["starts"]), float(options["spread"])
+    count = int(options["starts"])
+    spread = float(options["spread"])
     # The same offsets at every slope, so that an orbit does not depend on the study's
     # other slopes.
     offsets = np.tile(2 * r_sequence(m, count) - 1, (1, k))
@@ -125,7 +127,10 @@ def _starts(
 
 
 def _orbits(
-    rows: np.ndarray, starts: _Starts, strides: int, time_unit: float
+    rows: np.ndarray,
+    starts: _Starts,
+    strides: int,
+    time_unit: float,
 ) -> Arrays:
     """The table of the last of some strides of n orbits, from their rows, shape (shown,
     len(_SHOWN), n), in the walker's units.
@@ -144,7 +149,10 @@ def _orbits(
 
 
 def _falls(
-    walk: Walk, starts: _Starts, fell: np.ndarray, without: np.ndarray
+    walk: Walk,
+    starts: _Starts,
+    fell: np.ndarray,
+    without: np.ndarray,
 ) -> Arrays:
     """The table of the orbits that `fell`, and of the slopes without a gait to start
     from.
@@ -194,7 +202,8 @@ def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Array
     reason = ""
     if strides < _BLOCKS:
         reason = f"Exponents need at least {_ALIGNMENT + _BLOCKS} steps; these orbits have {_ALIGNMENT + strides}."
-        means, strides = np.full_like(means, np.nan), 0
+        means = np.full_like(means, np.nan)
+        strides = 0
 
     rows = []
     for slope in np.unique(lane_slope):
@@ -218,7 +227,8 @@ def _settle(walk: Walk, transient: int) -> None:
     BIT 20 (1980) 176-184).
     """
     last = np.full(len(walk.lanes), transient)
-    seen, seen_at = walk.y.copy(), 0
+    seen = walk.y.copy()
+    seen_at = 0
     for k in walk.steps(transient):
         lanes = walk.lanes
         is_same = (walk.y[:, lanes] == seen[:, lanes]).all(axis=0)
@@ -227,7 +237,8 @@ def _settle(walk: Walk, transient: int) -> None:
 
         walk.lanes = lanes[last[lanes] > k]
         if k == max(1, 2 * seen_at):
-            seen, seen_at = walk.y.copy(), k
+            seen = walk.y.copy()
+            seen_at = k
 
     walk.lanes = np.flatnonzero(walk.outcome == STRUCK)
     walk.taken[walk.lanes] = transient

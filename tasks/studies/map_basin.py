@@ -90,7 +90,9 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
 
 def _gaits(
-    problem: Problem, branches: list[Branch], slope: float
+    problem: Problem,
+    branches: list[Branch],
+    slope: float,
 ) -> dict[str, np.ndarray]:
     """The long and the short gait at a slope, shape (m,) each, as far as there are."""
     gaits = {}
@@ -142,7 +144,10 @@ def _range(limits: Sequence[float], unit: float, of_gait: float) -> np.ndarray:
 
 
 def _manifold(
-    problem: Problem, y: np.ndarray, slope: float, grid: _Grid
+    problem: Problem,
+    y: np.ndarray,
+    slope: float,
+    grid: _Grid,
 ) -> np.ndarray | None:
     """Points of a gait's stable manifold on the grid, shape (m, k); None if it is no
     saddle.
@@ -199,7 +204,11 @@ class _Rows:
             self.manifolds.append((slope, label, *self._on_section(points)))
 
     def add_outcomes(
-        self, slope: float, grid: _Grid, outcome: np.ndarray, taken: np.ndarray
+        self,
+        slope: float,
+        grid: _Grid,
+        outcome: np.ndarray,
+        taken: np.ndarray,
     ) -> None:
         """Add what becomes of the initial conditions, shape (size^2,), and its areas."""
         size = grid.y.shape[1]

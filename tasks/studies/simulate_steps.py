@@ -120,37 +120,53 @@ class _Taken:
     count: int = 0
     outcome: int = STRUCK
 
+    @classmethod
+    def of(cls, n: int, phases: int) -> _Taken:
+        """None taken yet of n."""
+        return cls(np.full((n + 1, 6), np.nan), np.full((n, phases), np.nan))
+
+    def add(self, k: int, step: Step, locked: bool) -> None:
+        """Add what a step shows, which has no kneestrike if the knee was locked."""
+        first = self.times.shape[1] - 1 if locked else 0
+        self.times[k, first : first + len(step.times)] = step.times
+        self.motion.append(step.motion)
+        self.outcome = step.outcome
+
 
 def _take_steps(
     start: Start, params: Mapping[str, Any], when: Sampling | None
 ) -> _Taken:
     """Take steps with their pushes and ground, until the walker falls."""
     problem, parameters = start.problem, start.parameters[:, 0]
-    walker, scale = problem.walker, parameters[1]
-    n, phases = int(params["steps"]), problem.phases
-    pushes, ground = params.get("pushes", {}), params.get("ground", {})
-
-    taken = _Taken(np.full((n + 1, 6), np.nan), np.full((n, phases), np.nan))
-    taken.states[0] = _all_angles(start.x) * scale
+    n, scale = int(params["steps"]), parameters[1]
+    taken = _Taken.of(n, problem.phases)
     x, locked = start.x, start.locked
+    taken.states[0] = _all_angles(x) * scale
     for k in range(n):
-        push = np.array(pushes.get(k, (0.0, 0.0))) * walker.time_unit / scale
-        height = float(ground.get(k, 0.0)) / walker.l
-        step = take_step(problem, _push(x, push), parameters, height, when, locked)
-
-        first = phases - 1 if locked else 0
-        taken.times[k, first : first + len(step.times)] = step.times
-        taken.motion.append(step.motion)
-        taken.outcome, locked = step.outcome, False
+        push, height = _disturbance(params, k, problem.walker)
+        pushed = _push(x, push / scale)
+        step = take_step(problem, pushed, parameters, height, when, locked)
+        taken.add(k, step, locked)
         if step.outcome != STRUCK:
             break
 
-        x = step.state
+        x, locked = step.state, False
         taken.count = k + 1
         taken.states[k + 1] = _all_angles(x) * scale
         if isinstance(when, _Series):
             when.began += step.times[-1]
     return taken
+
+
+def _disturbance(
+    params: Mapping[str, Any], k: int, walker: Walker
+) -> tuple[np.ndarray, float]:
+    """The push before a step, and the height by which the ground rises at its end, over
+    l.
+    """
+    push = params.get("pushes", {}).get(k, (0.0, 0.0))
+    height = params.get("ground", {}).get(k, 0.0)
+    return np.array(push) * walker.time_unit, float(height) / walker.l
 
 
 def _of_steps(

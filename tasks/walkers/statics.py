@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.walkers.walker import Walker
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
@@ -57,7 +58,7 @@ def leg_moment(walker: Walker) -> Any:
     return walker.m_t * walker.thigh_centre + walker.m_s * shank
 
 
-def lies_on_line(off: np.ndarray, along: np.ndarray) -> np.ndarray:
+def lies_on_line(off: ndarray, along: ndarray) -> ndarray:
     """Whether centres of mass lie on a line through their pivots, to within what
     doubles can say.
 
@@ -82,7 +83,7 @@ def is_tuned(walker: Walker) -> bool:
     return bool(are_tuned(WalkerArray.of([walker]))[0])
 
 
-def are_tuned(walkers: WalkerArray) -> np.ndarray:
+def are_tuned(walkers: WalkerArray) -> ndarray:
     """Return which walkers meet the static conditions, as `is_tuned` does, shape (n,)."""
     keys = {
         key: np.asarray(getattr(walkers, key), np.longdouble) for key in CONDITIONED
@@ -92,7 +93,7 @@ def are_tuned(walkers: WalkerArray) -> np.ndarray:
 
 # A walker that cannot be is not tuned.
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
-def _meet_conditions(key: dict[str, np.ndarray], knees: bool) -> np.ndarray:
+def _meet_conditions(key: dict[str, ndarray], knees: bool) -> ndarray:
     """Whether walkers, by keys in long double, meet the static conditions.
 
     With knees these are conditions of the shank, and of the thigh with the shank's mass
@@ -102,21 +103,26 @@ def _meet_conditions(key: dict[str, np.ndarray], knees: bool) -> np.ndarray:
     shank_off = key["w_s"] * cosine - key["c_s"] * sine
     shank_along = key["c_s"] * cosine + key["w_s"] * sine
 
-    sine_T, cosine_T = np.sin(key["eps_T"]), np.cos(key["eps_T"])
+    sine_T = np.sin(key["eps_T"])
+    cosine_T = np.cos(key["eps_T"])
     thigh_off = key["w_t"] * cosine_T + key["c_t"] * sine_T
     thigh_along = key["c_t"] * cosine_T - key["w_t"] * sine_T
     off = key["m_t"] * thigh_off + key["m_s"] * key["l_t"] * sine_T
     along = key["m_t"] * thigh_along + key["m_s"] * key["l_t"] * cosine_T
     if knees:
-        return lies_on_line(shank_off, shank_along) & lies_on_line(off, along)
-    return lies_on_line(off + key["m_s"] * shank_off, along + key["m_s"] * shank_along)
+        of_shank = lies_on_line(shank_off, shank_along)
+        return of_shank & lies_on_line(off, along)
+
+    of_leg = off + key["m_s"] * shank_off
+    along_leg = along + key["m_s"] * shank_along
+    return lies_on_line(of_leg, along_leg)
 
 
 # A walker that cannot be leaves NaN.
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
 def nearest(
     walker: Walker, free: Sequence[str]
-) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+) -> tuple[dict[str, ndarray], ndarray, ndarray]:
     """Change some keys of walkers by least, relatively, so that they meet the static
     conditions.
 
@@ -158,9 +164,12 @@ def nearest(
         for _ in range(_CORRECTIONS):
             change[:, off] += tuning.step(change, off, searching=False)
 
-    values = {key: value.astype(float) for key, value in tuning.moved(change).items()}
-    exact = {key: value.astype(np.longdouble) for key, value in values.items()}
-    found = _meet_conditions(tuning.start | exact, walker.knees)
+    values = {}
+    rounded = {}
+    for key, value in tuning.moved(change).items():
+        values[key] = value.astype(float)
+        rounded[key] = values[key].astype(np.longdouble)
+    found = _meet_conditions(tuning.start | rounded, walker.knees)
     kept = {key: np.where(found, value, np.nan) for key, value in values.items()}
     return kept, np.asarray(change, float), found
 
@@ -178,12 +187,16 @@ class _Tuning:
 
     def __init__(self, walker: Walker, free: Sequence[str]):
         names = dict.fromkeys((*CONDITIONED, *free))
-        values = [np.asarray(getattr(walker, key), np.longdouble) for key in names]
+        values = []
+        for key in names:
+            values.append(np.asarray(getattr(walker, key), np.longdouble))
         *given, shape = np.broadcast_arrays(*values, np.zeros(1))
         self.start = dict(zip(names, given, strict=True))
-        self._free, self._knees = free, walker.knees
+        self._free = free
+        self._knees = walker.knees
 
-        leg, mass = np.asarray(walker.leg, float), np.asarray(walker.m_t + walker.m_s)
+        leg = np.asarray(walker.leg, float)
+        mass = np.asarray(walker.m_t + walker.m_s)
         self._leg = np.broadcast_to(leg, shape.shape)
         self._mass = np.broadcast_to(mass.astype(float), shape.shape)
         # Offsets near zero have no relative size of their own: the leg is their scale.
@@ -193,7 +206,7 @@ class _Tuning:
             scales.append(np.where(size != 0, size, self._leg))
         self.scale = np.array(scales, float)
 
-    def moved(self, change: np.ndarray, lanes: Any = ...) -> dict[str, np.ndarray]:
+    def moved(self, change: ndarray, lanes: Any = ...) -> dict[str, ndarray]:
         """Free keys of some lanes after a change, shape (k, n)."""
         moves = self.scale[:, lanes] * change[:, lanes]
         return {
@@ -202,27 +215,34 @@ class _Tuning:
         }
 
     def step(
-        self, change: np.ndarray, lanes: np.ndarray, searching: bool
-    ) -> np.ndarray:
+        self,
+        change: ndarray,
+        lanes: ndarray,
+        searching: bool,
+    ) -> ndarray:
         """Newton's step of some lanes (i,) from a change, shape (k, n); NaN where the
         walker cannot be; in the search to the least change that meets the conditions.
 
         Sums are written out: they round alike for one lane and for many.
         """
-        residual, by = self._conditions(change, lanes)
-        is_finite = np.isfinite(residual).all(axis=0) & np.isfinite(by).all(axis=(0, 1))
+        residual, by = self._residuals(change, lanes)
+        is_finite = np.isfinite(residual).all(axis=0)
+        is_finite &= np.isfinite(by).all(axis=(0, 1))
         by = np.where(is_finite, by, 0.0)
         matrices = np.moveaxis(by, -1, 0).astype(float)
-        inverse = np.moveaxis(np.linalg.pinv(matrices, rcond=1e-9), 0, -1)
+        inverses = np.linalg.pinv(matrices, rcond=1e-9)
+        inverse = np.moveaxis(inverses, 0, -1)
 
         before = change[:, lanes] * float(searching)
         wanted = sum(by[:, k] * own for k, own in enumerate(before)) - residual
         moved = sum(inverse[:, c] * own for c, own in enumerate(wanted)) - before
         return np.where(is_finite, moved, np.nan)
 
-    def _conditions(
-        self, change: np.ndarray, lanes: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _residuals(
+        self,
+        change: ndarray,
+        lanes: ndarray,
+    ) -> tuple[ndarray, ndarray]:
         """Residuals (c, i) and their derivatives (c, k, i) by the changes."""
         keys = {key: value[lanes] for key, value in self.start.items()}
         keys |= self.moved(change, lanes)
@@ -237,8 +257,11 @@ class _Tuning:
 
 
 def _conditions(
-    key: dict[str, np.ndarray], knees: bool, leg: np.ndarray, mass: np.ndarray
-) -> tuple[np.ndarray, list[dict[str, np.ndarray]]]:
+    key: dict[str, ndarray],
+    knees: bool,
+    leg: ndarray,
+    mass: ndarray,
+) -> tuple[ndarray, list[dict[str, ndarray]]]:
     """Residuals of the leg and, with knees, the shank, over given lengths and masses,
     (c, n), and their derivatives.
     """
@@ -255,13 +278,14 @@ def _conditions(
 
 
 def _shank(
-    key: dict[str, np.ndarray],
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    key: dict[str, ndarray],
+) -> tuple[ndarray, dict[str, ndarray]]:
     """How far the shank's centre of mass lies off the line from the knee, and its
     derivatives.
     """
     d = key["l_s"] - key["R"]
-    over = np.where(d == 0, 0.0, 1 / np.where(d == 0, 1, d))
+    divisor = np.where(d == 0, 1, d)
+    over = np.where(d == 0, 0.0, 1 / divisor)
     sine, cosine = _lean(key)
     sine_by = {
         "l_t": np.sin(key["eps_T"]) * over,
@@ -277,12 +301,15 @@ def _shank(
 
 
 def _leg_moment(
-    key: dict[str, np.ndarray], shank: np.ndarray, shank_by: dict[str, np.ndarray]
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    key: dict[str, ndarray],
+    shank: ndarray,
+    shank_by: dict[str, ndarray],
+) -> tuple[ndarray, dict[str, ndarray]]:
     """First moment of the leg across the line from hip to foot centre, and its
     derivatives, by those of its shank's offset from that line's parallel.
     """
-    sine, cosine = np.sin(key["eps_T"]), np.cos(key["eps_T"])
+    sine = np.sin(key["eps_T"])
+    cosine = np.cos(key["eps_T"])
     knee = key["l_t"] * sine
     knee_by = {"l_t": sine, "eps_T": key["l_t"] * cosine}
     thigh = key["w_t"] * cosine + key["c_t"] * sine
@@ -298,14 +325,16 @@ def _leg_moment(
     for name, value in thigh_by.items():
         by[name] = by.get(name, 0.0) + key["m_t"] * value
     by |= {"m_t": thigh, "m_s": knee + shank}
-    return key["m_t"] * thigh + key["m_s"] * (knee + shank), by
+    moment = key["m_t"] * thigh + key["m_s"] * (knee + shank)
+    return moment, by
 
 
-def _lean(key: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _lean(key: dict[str, ndarray]) -> tuple[ndarray, ndarray]:
     """Sine and cosine of eps_S, by which the shank leans on the line from hip to foot
     centre.
     """
     d = key["l_s"] - key["R"]
-    sine = key["l_t"] * np.sin(key["eps_T"]) / np.where(d == 0, 1, d)
+    divisor = np.where(d == 0, 1, d)
+    sine = key["l_t"] * np.sin(key["eps_T"]) / divisor
     sine = np.where(d == 0, 0.0, sine)
     return sine, np.sqrt(1 - sine * sine)
