@@ -103,11 +103,10 @@ def exact_offsets(
     found = [exact(walker(**table)) for table in tables]
     if not any(found):
         return {}
-    about = (
-        {name: offsets for name, offsets in zip(names, found, strict=True) if offsets}
-        if names
-        else found[0]
-    )
+    about = found[0]
+    if names:
+        pairs = zip(names, found, strict=True)
+        about = {name: offsets for name, offsets in pairs if offsets}
     return {"exact_offsets": json.dumps(about)}
 
 

@@ -77,16 +77,16 @@ def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
     need.
     """
     for name, layer in plan.graph.layers.items():
-        if name != "points" and (name != "atlas" or plan.graph.atlas_readers):
-            runs = (
-                (key for _, key, _ in _task_runs(plan, name, layer.per_line))
-                if name != "charts"
-                else _charts(plan)
-            )
-            for key in runs:
-                ending = plan.store.outcome(key)
-                if ending and ending.status != "ok":
-                    yield name, ending.status, ending.reason
+        if name == "points" or (name == "atlas" and not plan.graph.atlas_readers):
+            continue
+        if name == "charts":
+            keys = _charts(plan)
+        else:
+            keys = (key for _, key, _ in _task_runs(plan, name, layer.per_line))
+        for key in keys:
+            ending = plan.store.outcome(key)
+            if ending and ending.status != "ok":
+                yield name, ending.status, ending.reason
 
 
 def _charts(plan: Plan) -> Iterable[str]:
@@ -332,11 +332,9 @@ def meaning_of(name: str, group: str = "") -> tuple[str, str]:
     known = table_columns()
     if name in registry.VARIABLES and f"{group}/{name}" not in known:
         return registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
-    own = (
-        EXTRA_AXES.get(name, f"walker's {name}")
-        if name in kinds
-        else name.replace("_", " ")
-    )
+    own = name.replace("_", " ")
+    if name in kinds:
+        own = EXTRA_AXES.get(name, f"walker's {name}")
     kind, meaning = (
         known.get(f"{group}/{name}")
         or known.get(name)

@@ -44,7 +44,6 @@ from gaitsweep.pipeline.errors import (
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
 from gaitsweep.pipeline.store.record import sentence_number
-from gaitsweep.pipeline.store.store import Outcome
 from gaitsweep.pipeline.study import corners
 from gaitsweep.tasks.contract.registry import VARIABLES
 
@@ -270,13 +269,12 @@ def _write_checksums(file: Any, writer: "PointWriter | _LineWriter") -> dict[str
     checksums = {
         name: layout.checksum(np.ma.getdata(variable[...])) for name, variable in small
     }
-    chunk = (
-        {"checksum_chunk": np.array(writer.chunk, np.int64)}
-        if isinstance(writer, PointWriter)
-        else {}
-    )
+    about: dict[str, Any] = {}
+    if isinstance(writer, PointWriter):
+        about["checksum_chunk"] = np.array(writer.chunk, np.int64)
     modulo = {name: n % 2**32 for name, n in {**checksums, **sums}.items()}
-    attributes.put(file, {**chunk, "checksums": json.dumps(modulo, sort_keys=True)})
+    about["checksums"] = json.dumps(modulo, sort_keys=True)
+    attributes.put(file, about)
     return {
         name: value
         for name, value in _attributes(file).items()
@@ -314,17 +312,15 @@ class _LineWriter:
         # been needed.
         is_known = keys[self.study.kind] in self.plan.store
         for name in (self.study.kind,) if is_known else ("atlas", self.study.kind):
-            outcome = (
-                self.plan.store.outcome(keys[name])
-                if name in keys
-                else Outcome("ok", "")
-            )
+            if name not in keys:
+                continue
+            outcome = self.plan.store.outcome(keys[name])
             if outcome is None:
                 return "not_attempted", NOT_ATTEMPTED
             if outcome.status != "ok":
-                return outcome.status, of_atlas(
-                    outcome.reason
-                ) if name == "atlas" else outcome.reason
+                is_atlas = name == "atlas"
+                reason = of_atlas(outcome.reason) if is_atlas else outcome.reason
+                return outcome.status, reason
         result = self.plan.store.result(keys[self.study.kind])
         with self.plan.store.reading():
             for reason in (result or {}).get("nothing/reason", ()):

@@ -145,9 +145,7 @@ def _is_angular(key: str) -> bool:
 
 def _multiplier(real: float, imaginary: float, digits: int) -> str:
     """A number, real if no digit that is shown says otherwise."""
-    is_real = abs(imaginary) < 10.0**-digits * abs(real) or not imaginary
-    return (
-        f"{real:.{digits}g}"
-        if is_real
-        else f"{real:.{digits}g}{imaginary:+.{digits}g}j"
-    )
+    shown = f"{real:.{digits}g}"
+    if abs(imaginary) < 10.0**-digits * abs(real) or not imaginary:
+        return shown
+    return f"{shown}{imaginary:+.{digits}g}j"

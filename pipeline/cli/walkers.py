@@ -13,17 +13,12 @@ from gaitsweep.pipeline.study import files, toml
 def run(options: argparse.Namespace) -> int:
     """Print the walkers."""
     table = files.walker(options.name, Path()) if options.name else None
-    walkers = ask(
-        "walkers", {"walker": table} if isinstance(table, dict) else {"name": table}
-    )["walkers"]
-    more = (
-        []
-        if options.name
-        else [f"{name:<21} {where}" for name, where in files.more_walkers()]
-    )
-    kinds.show(
-        options, walkers, [*_lines(walkers, in_full=options.name is not None), *more]
-    )
+    asked = {"walker": table} if isinstance(table, dict) else {"name": table}
+    walkers = ask("walkers", asked)["walkers"]
+    lines = [*_lines(walkers, in_full=options.name is not None)]
+    if not options.name:
+        lines += [f"{name:<21} {where}" for name, where in files.more_walkers()]
+    kinds.show(options, walkers, lines)
     return 0
 
 

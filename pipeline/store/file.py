@@ -244,11 +244,9 @@ def raise_for(error: Exception, path: Path) -> NoReturn:
     is_of_system = isinstance(error, OSError) or (
         code & 0xFF in _OF_SYSTEM and code not in _READ_ERRORS
     )
-    cause = (
-        shortage(error, path, path.with_name(path.name + "-wal"))
-        if is_of_system
-        else None
-    )
+    cause = None
+    if is_of_system:
+        cause = shortage(error, path, path.with_name(path.name + "-wal"))
     if code == sqlite3.SQLITE_FULL or (cause and is_disk_full(cause)):
         raise DiskFullError(
             f"The disk is full: {path} cannot grow; finished results are kept."

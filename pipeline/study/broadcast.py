@@ -56,13 +56,9 @@ def _plain(value: Any) -> Any:
     """
     if isinstance(value, Mapping):
         return {str(key): _plain(each) for key, each in value.items()}
-    return (
-        value.item()
-        if isinstance(value, np.generic)
-        else str(value)
-        if isinstance(value, Path)
-        else value
-    )
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value) if isinstance(value, Path) else value
 
 
 def _check_keys(names: Iterable[str], texts: Iterable[str] = ("toward",)) -> None:
@@ -171,23 +167,18 @@ def broadcast(
 
 def _numbers(name: str, value: object) -> np.ndarray:
     _check_keys([name], ("toward", "trailing_knee"))
+    kinds, wanted = "iuf", "a number or an array of numbers"
+    if name == "knees":
+        kinds, wanted = "b", "true or false, or an array of them"
     try:
-        array = (
-            np.ma.filled(value.astype(float), np.nan)
-            if isinstance(value, np.ma.MaskedArray)
-            else np.asarray(value)
-        )
-    except (
-        ValueError,
-        TypeError,
-    ):  # rows of different lengths, objects of other packages
+        if isinstance(value, np.ma.MaskedArray):
+            array = np.ma.filled(value.astype(float), np.nan)
+        else:
+            array = np.asarray(value)
+    except (ValueError, TypeError):
+        # Rows of different lengths, objects of other packages.
         array = np.empty(0, object)
-    if array.dtype.kind not in ("b" if name == "knees" else "iuf"):
-        wanted = (
-            "true or false, or an array of them"
-            if name == "knees"
-            else "a number or an array of numbers"
-        )
+    if array.dtype.kind not in kinds:
         raise StudyError(f"`{name}` must be {wanted}; got {_kind(value)}.")
     return array if name == "knees" else array.astype(float, copy=False)
 

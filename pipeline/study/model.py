@@ -255,11 +255,8 @@ class Study:
         if not of_designs and len(axes) == 2 and len(axes[0]) < _MIN_ACROSS:
             del axes[0]
         plane = Plane(tuple(sorted(axes, key=lambda axis: axis.name)))
-        return (
-            plane
-            if axes and plane.lines >= (_MIN_DESIGNS if of_designs else _MIN_LINES)
-            else None
-        )
+        least = _MIN_DESIGNS if of_designs else _MIN_LINES
+        return plane if axes and plane.lines >= least else None
 
     @property
     def batches(self) -> int:

@@ -41,11 +41,9 @@ class Region:
     def box(self) -> list[arb]:
         """Every unknown over the whole region."""
         box = [c + w for c, w in zip(self.middle, self.offsets, strict=True)]
-        return (
-            box
-            if self.tangent is None
-            else [x + t * self.span for x, t in zip(box, self.tangent, strict=True)]
-        )
+        if self.tangent is None:
+            return box
+        return [x + t * self.span for x, t in zip(box, self.tangent, strict=True)]
 
     @property
     def span(self) -> arb:

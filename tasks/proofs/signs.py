@@ -141,11 +141,10 @@ def _classified(
     while waiting:
         low, high, depth = waiting.pop()
         span = low.union(high)
-        kind = (
-            _sign(evaluate(quotient, span))
-            if order and low == 0
-            else _kind(value, rate, low, high, span)
-        )
+        if order and low == 0:
+            kind = _sign(evaluate(quotient, span))
+        else:
+            kind = _kind(value, rate, low, high, span)
         if kind in SIGNS or (kind and depth >= ZERO_DEPTH):
             yield Stretch(
                 kind, clock + low, clock + high, evaluate(piece.series[0], span)

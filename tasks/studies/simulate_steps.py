@@ -527,13 +527,9 @@ class _Phase:
         )
         end, state = float(self._taylor.time), np.array(self._taylor.state)
         event = -1 - int(stop)  # heyoka counts the events that stop it down from -1
-        outcome = (
-            self.outcomes[event]
-            if event in (0, 1, 2)
-            else NO_KNEESTRIKE
-            if self.links == 3
-            else NO_HEELSTRIKE
-        )
+        outcome = NO_KNEESTRIKE if self.links == 3 else NO_HEELSTRIKE
+        if event in (0, 1, 2):
+            outcome = self.outcomes[event]
         if not np.isfinite(state).all():
             outcome = LOST
         samples = []

@@ -195,14 +195,11 @@ def _check_names(
     for key in values:
         if key not in known:
             others = [name for name in suggested if name != key]
-            near = " or ".join(
-                f"`{name}`" for name in difflib.get_close_matches(key, others)
-            )
-            hint = (
-                f"did you mean {near}?"
-                if near
-                else f"keys: {', '.join(k for k in others if k != 'slope')}"
-            )
+            near = difflib.get_close_matches(key, others)
+            if near:
+                hint = f"did you mean {' or '.join(f'`{name}`' for name in near)}?"
+            else:
+                hint = f"keys: {', '.join(k for k in others if k != 'slope')}"
             said = "; ".join(filter(None, [why_no_key({"key": key}), hint]))
             raise WalkerError(key, values[key], f"is not a walker key ({said})")
 
@@ -711,8 +708,6 @@ def label(walker: str | Mapping[str, Any]) -> str:
         if key not in ("base", "name", "toward")
     )
     name = table.get("name") or table.get("base")
-    return (
-        f"{name} with {keys}"
-        if table.get("base") == name and keys
-        else str(name or "a walker of its own")
-    )
+    if table.get("base") == name and keys:
+        return f"{name} with {keys}"
+    return str(name or "a walker of its own")
