@@ -447,18 +447,16 @@ def solve(
     else:
         chosen = every, steps, accuracy, limits, tuned
         answer = single_point.solve(definition, fixed, changes, *chosen)
-    rows = [
-        {
-            **{
-                name: math.nan if value is None else value
-                for name, value in gait.items()
-            },
-            "multipliers": tuple(complex(*pair) for pair in gait["multipliers"]),
-            "violations": tuple(gait["violations"] or ()),
-        }
-        for gait in answer["gaits"]
-    ]
+    rows = [_row(gait) for gait in answer["gaits"]]
     frame = pd.DataFrame(rows, columns=answer["columns"])
     frame.attrs["search"] = answer["search"]
     frame.attrs["absent"] = list(answer["absent"])
     return frame
+
+
+def _row(gait: Mapping[str, Any]) -> dict[str, Any]:
+    """A gait as a row of a frame: NaN for what it has not, multipliers as numbers."""
+    row = {name: math.nan if v is None else v for name, v in gait.items()}
+    row["multipliers"] = tuple(complex(*pair) for pair in gait["multipliers"])
+    row["violations"] = tuple(gait["violations"] or ())
+    return row

@@ -91,10 +91,12 @@ def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
 
 def _charts(plan: Plan) -> Iterable[str]:
     """Keys of all charts: a million lines of a plane share them."""
-    chunks = map(plan.graph.grid.chunk, range(plan.graph.grid.chunks))
-    return dict.fromkeys(
-        charts.key for chunk in chunks for charts in plan.charts_of(chunk)
-    )
+    grid = plan.graph.grid
+    keys = {}
+    for number in range(grid.chunks):
+        for charts in plan.charts_of(grid.chunk(number)):
+            keys[charts.key] = None
+    return keys
 
 
 def _task_runs(
@@ -162,21 +164,20 @@ def _stack(parts: Sequence[Columns]) -> Columns:
     """The rows of all parts; a column that some lack, such as a rate of other walkers,
     is NaN or empty there.
     """
-    absent = {
-        name: "" if values.dtype.kind == "U" else np.nan
-        for part in parts
-        for name, values in part.items()
-    }
-    lengths = [len(next(iter(part.values()))) for part in parts]
-    return {
-        name: np.concatenate(
-            [
-                part.get(name, np.full(n, nothing))
-                for part, n in zip(parts, lengths, strict=True)
-            ]
-        )
-        for name, nothing in absent.items()
-    }
+    absent: dict[str, str | float] = {}
+    for part in parts:
+        for name, values in part.items():
+            absent[name] = "" if values.dtype.kind == "U" else np.nan
+
+    stacked = {}
+    for name, nothing in absent.items():
+        columns = []
+        for part in parts:
+            rows = len(next(iter(part.values())))
+            missing = np.full(rows, nothing)
+            columns.append(part.get(name, missing))
+        stacked[name] = np.concatenate(columns)
+    return stacked
 
 
 def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:

@@ -96,9 +96,10 @@ def _table(path: Path) -> dict[str, dict[str, Any]]:
     except ArchiveError as error:
         terminal.say(f"gaitsweep: {error}")
         return {}
-    return {
-        row["id"]: {k: None if v != v else v for k, v in row.items()} for row in rows
-    }
+    claims = {}
+    for row in rows:
+        claims[row["id"]] = {k: None if v != v else v for k, v in row.items()}
+    return claims
 
 
 def _lines(claim: dict[str, Any]) -> Iterator[str]:

@@ -100,18 +100,11 @@ class Plane:
 
         `log` is whether the values of a key are spread by their logarithms.
         """
-        low, high = (
-            [float(of(axis.values)) for axis in self.axes] for of in (np.min, np.max)
-        )
-        keys, log = (
-            [axis.name for axis in self.axes],
-            [axis.is_log for axis in self.axes],
-        )
         return {
-            "keys": keys,
-            "low": low,
-            "high": high,
-            "log": log,
+            "keys": [axis.name for axis in self.axes],
+            "low": [float(axis.values.min()) for axis in self.axes],
+            "high": [float(axis.values.max()) for axis in self.axes],
+            "log": [axis.is_log for axis in self.axes],
             "lines": about(self.lines),
         }
 

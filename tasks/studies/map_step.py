@@ -52,33 +52,31 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     problem, parameters, y = start.problem, start.parameters, start.y
     assert y is not None
     walker, scale = problem.walker, parameters[1]
-    time_unit = walker.time_unit
-    units = np.array(
-        [1.0, time_unit, time_unit]
-    )  # by which the walker's are multiplied
     located = _to_heelstrike(start, params)
-    step = problem.step(y, np.array(located.times)[:, None], parameters, slope=True)
-    times = step.times
-    before, after = (
-        _start(problem, section, parameters) for section in (y, step.image)
-    )
-    image = after[0] * scale / units
-    jacobian = (
-        after[1]
-        @ step.jacobian[:, :, 0]
-        @ np.linalg.inv(before[1])
-        * units
-        / units[:, None]
-    )
+    guessed = np.array(located.times)[:, None]
+    step = problem.step(y, guessed, parameters, slope=True)
+
+    # In the solver's units these are the walker's times its unit of time.
+    units = np.array([1.0, walker.time_unit, walker.time_unit])
+    _, by_section_before = _start(problem, y, parameters)
+    after, by_section_after = _start(problem, step.image, parameters)
+    by_before = np.linalg.inv(by_section_before)
+    by_state = by_section_after @ step.jacobian[:, :, 0] @ by_before
+    by_slope = by_section_after @ step.by_slope[:, 0]
+
+    image = after * scale / units
+    jacobian = by_state * units / units[:, None]
+
     values, vectors = _modes(jacobian, walker.point_foot or walker.massless_leg)
+    times = step.times[:, 0] * walker.time_unit
     return {
         "state": image,
         "jacobian": jacobian,
-        "by_slope": after[1] @ step.by_slope[:, 0] * scale / units,
+        "by_slope": by_slope * scale / units,
         "eigenvalues": values,
         "eigenvectors": vectors,
-        "kneestrike_time": float(times[0, 0] * time_unit) if walker.knees else None,
-        "heelstrike_time": float(times[-1, 0] * time_unit),
+        "kneestrike_time": float(times[0]) if walker.knees else None,
+        "heelstrike_time": float(times[-1]),
         **_losses(problem, step, image[:1], parameters),
     }
 
