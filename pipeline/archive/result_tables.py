@@ -92,7 +92,7 @@ def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
 def _charts(plan: Plan) -> Iterable[str]:
     """Keys of all charts: a million lines of a plane share them."""
     grid = plan.graph.grid
-    keys = {}
+    keys: dict[str, None] = {}
     for number in range(grid.chunks):
         for charts in plan.charts_of(grid.chunk(number)):
             keys[charts.key] = None

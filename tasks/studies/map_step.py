@@ -49,7 +49,9 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     rate follows from the others.
     """
     start = _on_section(begin(params), params)
-    problem, parameters, y = start.problem, start.parameters, start.y
+    problem = start.problem
+    parameters = start.parameters
+    y = start.y
     assert y is not None
     walker, scale = problem.walker, parameters[1]
     located = _to_heelstrike(start, params)
@@ -82,7 +84,10 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _losses(
-    problem: Problem, step: Stride, angle: np.ndarray, parameters: Parameters
+    problem: Problem,
+    step: Stride,
+    angle: np.ndarray,
+    parameters: Parameters,
 ) -> dict[str, float | None]:
     """Energies lost in the strikes of a step that ends at a stance angle."""
     walker, scale = problem.walker, parameters[1]
@@ -106,7 +111,8 @@ def _to_heelstrike(start: Start, params: Mapping[str, Any]) -> Step:
     lane = start.parameters[:, 0]
     step = take_step(start.problem, start.x, lane, locked=start.locked)
     if step.outcome != STRUCK:
-        state, cause = np.array(params["state"], float), CAUSES[step.outcome]
+        state = np.array(params["state"], float)
+        cause = CAUSES[step.outcome]
         raise WalkerError(
             "state", tuple(state.tolist()), f"leads to no heelstrike ({cause})"
         )
@@ -118,7 +124,8 @@ def _on_section(start: Start, params: Mapping[str, Any]) -> Start:
     if start.y is not None:
         return start
     step = _to_heelstrike(start, params)
-    walker, parameters = start.problem.walker, start.parameters
+    walker = start.problem.walker
+    parameters = start.parameters
     links = len(step.state) // 2
     state = step.state[[0, links, links + 1]] * parameters[1]
     state[1:] /= walker.time_unit
@@ -126,7 +133,9 @@ def _on_section(start: Start, params: Mapping[str, Any]) -> Start:
 
 
 def _start(
-    problem: Problem, y: np.ndarray, parameters: np.ndarray
+    problem: Problem,
+    y: np.ndarray,
+    parameters: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Scaled angle, stance and thigh rate at the start of a step from section
     coordinates (3, 1), and derivatives.
@@ -143,7 +152,8 @@ def _modes(jacobian: np.ndarray, singular: bool) -> tuple[np.ndarray, np.ndarray
     """
     values, vectors = (x.astype(complex) for x in np.linalg.eig(jacobian))
     order = np.lexsort((-values.imag, -values.real, -np.abs(values)))
-    values, vectors = values[order], vectors[:, order]
+    values = values[order]
+    vectors = vectors[:, order]
     if singular:  # a heelstrike of these legs leaves the thigh's rate no freedom
         values[2] = 0.0
     largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=0)[None], axis=0)
