@@ -86,8 +86,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     if not len(known):
         tables |= nothing(over(f"{options['gait']} gait", slope))
     tables |= _survival(starts.slope, walk.taken, ~walks)
-    averaged = strides - _ALIGNMENT
-    return tables | _exponents(means[:, :, walks], starts.slope[walks], averaged)
+    return tables | _exponents(means[:, :, walks], starts.slope[walks], strides)
 
 
 class _Starts(NamedTuple):
@@ -200,16 +199,17 @@ def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Array
     where steps are too few.
     """
     reason = ""
-    if strides < _BLOCKS:
-        reason = f"Exponents need at least {_ALIGNMENT + _BLOCKS} steps; these orbits have {_ALIGNMENT + strides}."
+    averaged = strides - _ALIGNMENT
+    if averaged < _BLOCKS:
+        reason = f"Exponents need at least {_ALIGNMENT + _BLOCKS} steps; these orbits have {strides}."
         means = np.full_like(means, np.nan)
-        strides = 0
+        averaged = 0
 
     rows = []
     for slope in np.unique(lane_slope):
         at_slope = lane_slope == slope
         value, error = estimate(means[:, :, at_slope])
-        count = strides * int(at_slope.sum())
+        count = averaged * int(at_slope.sum())
         falling = np.argsort(-value, kind="stable").tolist()
         for i, k in enumerate(falling):
             rows.append((slope, i, value[k], error[k], count, reason))
