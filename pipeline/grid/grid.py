@@ -167,6 +167,12 @@ class Grid:
         return tuple(math.ceil(n / extent) for n, extent in sizes)
 
     @property
+    def _place_of_slope(self) -> int:
+        """Number of the dimension along lines."""
+        names = list(self.sizes)
+        return names.index(self.study.along)
+
+    @property
     def chunks(self) -> int:
         """Number of chunks."""
         return math.prod(self._counts) if self.extent else 0
@@ -186,13 +192,12 @@ class Grid:
         indices = np.ix_(*sides)
         numbers = np.ravel_multi_index(indices, self.study.line_shape).ravel()
         sizes = tuple(span.stop - span.start for span in spans.values())
-        slope = list(self.sizes).index(self.study.along)
-        shape = Shape(sizes, self.extent, slope)
+        shape = Shape(sizes, self.extent, self._place_of_slope)
         return Chunk(spans, numbers, spans[self.study.along], shape)
 
     def chunks_of_line(self, line: int) -> range:
         """Numbers of the chunks that hold the points of a line."""
-        slope = list(self.sizes).index(self.study.along)
+        slope = self._place_of_slope
         place = np.unravel_index(line, self.study.line_shape)
         if not self.study.walker_axis:
             place = place[1:]
