@@ -139,7 +139,8 @@ def _range(limits: Sequence[float], unit: float, of_gait: float) -> np.ndarray:
     around the gait's.
     """
     if limits:
-        return np.sort(np.array(limits, float) * unit)
+        return np.array(limits, float) * unit
+    # Rates are negative.
     return np.sort(np.array(_AROUND) * of_gait)
 
 
