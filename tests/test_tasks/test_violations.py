@@ -134,14 +134,18 @@ def test_amounts_agree_with_the_derivation_in_maximal_coordinates(name, slope, l
     assert found["friction_demand_heelstrike"] == pytest.approx(
         abs(impulse[0]) / impulse[1], rel=1e-8
     )
+    least = impulse[1]
     depth = -min(swing_foot(slow, state) for state in step.states)
     assert found["scuff_depth"] == pytest.approx(
         max(depth, 0.0), rel=1e-3, abs=1e-14 * walker.leg
     )
     if not walker.knees:
+        assert found["least_normal_impulse"] == pytest.approx(least, rel=1e-7)
         assert all(np.isnan(found[k]) for k in KNEE)
         return
     impulse = step.impulse_kneestrike
+    least = min(least, impulse[1])
+    assert found["least_normal_impulse"] == pytest.approx(least, rel=1e-7)
     assert found["friction_demand_kneestrike"] == pytest.approx(
         abs(impulse[0]) / impulse[1], rel=1e-7
     )
