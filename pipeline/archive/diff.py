@@ -96,8 +96,8 @@ def _unequal(
     both_absent = np.isnan(x) & np.isnan(y)
     unequal = ~((gap <= rtol * scale) | (x == y) | both_absent)
 
-    is_number = unequal & np.isfinite(gap) & (scale > 0)
-    over_scale = np.where(is_number, gap / scale, 0.0)
+    has_size = np.isfinite(gap) & (scale > 0)
+    over_scale = np.where(has_size, gap / scale, 0.0)
     return unequal, np.max(over_scale, initial=0.0)
 
 
