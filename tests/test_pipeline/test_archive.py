@@ -1008,7 +1008,10 @@ def _put(name, value):
         (_put("slope", np.nan), "`slope` holds values that are not finite."),
         (_put("slope", np.inf), "`slope` holds values that are not finite."),
         (_put("slope", 0.5), "`slope` must lie in [1e-18, 0.5) rad, or in (-0.5, 0]."),
-        (_put("slope", 9e-19), "`slope` must lie in [1e-18, 0.5) rad, or in (-0.5, 0]."),
+        (
+            _put("slope", 9e-19),
+            "`slope` must lie in [1e-18, 0.5) rad, or in (-0.5, 0].",
+        ),
         *(
             (
                 lambda f, name=name: f[name].__setitem__(0, f[name][1]),
