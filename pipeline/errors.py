@@ -147,12 +147,10 @@ def unwritten(path: Path, error: OSError, use: str = "written") -> GaitsweepErro
         return WorkerError(
             f"A limit of the system is reached{place}: {error.strerror}."
         )
-    kind = (
-        DiskFullError
-        if is_disk_full(error) or error.errno == errno.EFBIG
-        else ArchiveError
-    )
-    return kind(f"{error.filename or path} cannot be {use}: {error.strerror}.")
+    sentence = f"{error.filename or path} cannot be {use}: {error.strerror}."
+    if is_disk_full(error) or error.errno == errno.EFBIG:
+        return DiskFullError(sentence)
+    return ArchiveError(sentence)
 
 
 class BusyError(GaitsweepError):

@@ -65,11 +65,9 @@ def load(data: bytes) -> Any:
             ):
                 raise ValueError("unknown array")
             count = math.prod(shape)
-            values = (
-                np.frombuffer(data, dtype, count, offset)
-                if count
-                else np.empty(0, dtype)
-            )
+            values = np.empty(0, dtype)
+            if count:
+                values = np.frombuffer(data, dtype, count, offset)
             offset += values.nbytes + -values.nbytes % _ALIGN
             return values.reshape(shape)
 

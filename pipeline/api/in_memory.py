@@ -4,7 +4,7 @@ this process by the loop of a run.
 
 from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -147,43 +147,24 @@ def gaits(
     flat = {name: a.values.ravel() for name, a in zip(arrays, grid, strict=True)}
     lines, unsolvable = _checked(base, flat, arrays)
 
-    # An argument that is nowhere right is a mistake, not a result.
     slope = flat[base.along]
-    wrong = _wrong_slopes(base, slope)
-    if len(slope) and not any(len(line.at) for line in lines):
-        if unsolvable or base.at:
-            raise [*unsolvable, *wrong][0][1]
-        if slopes.is_level(slope[0]):
-            raise slopes.undriven(float(slope[0]))
-        slopes.check(float(slope[0]))
+    _refuse_if_none(base, slope, lines, unsolvable)
     unsolvable += _wrong_slopes(base, slope, [line.at for line in lines])
 
-    answers = [line.check for line in lines]
-    varying = {name: a for name, a in arrays.items() if a.ndim or name == base.along}
-    coordinates = {
-        name: values.assign_attrs(attributes.of_axis(name, answers[:1]))
-        for name, values in varying.items()
-    }
-    constants = _constants(lines[0].line, answers, varying) if lines else {}
-    moved = _moved(lines[0].line, answers, varying) if lines else {}
-
-    multipliers = max((check["multipliers"] for check in answers), default=3)
+    keys = _keys(base, arrays, lines)
+    checks = [line.check for line in lines]
     # A list that becomes shorter while its lines are solved.
     lines = [line for line in lines if len(line.at)]
     asked = sum(len(line.at) for line in lines)
     with dispatch.for_question(asked, len(lines)):
         found = _solve_in_units(base, lines, flat)
-        points = _in_order(found, unsolvable, base.variables, multipliers)
-    features = {name for check in answers for name in check["features"]}
-    kept = [
-        name
-        for name in base.variables
-        if name in named or not VARIABLES[name].is_left_out(features)
-    ]
-    for name in {*base.variables} - {*kept}:
+        points = _in_order(found, unsolvable, base.variables, checks)
+
+    kept = _kept(base, checks, named)
+    for name in {*base.variables}.difference(kept):
         points.values.pop(name, None)
-    study = replace(base, checks=tuple(answers[:1]), variables=tuple(kept))
-    return _dataset(points, grid[0], coordinates, moved, constants, study)
+    study = replace(base, checks=tuple(checks[:1]), variables=kept)
+    return _dataset(points, grid[0], keys, study)
 
 
 def _base(
@@ -239,6 +220,25 @@ def _checked(
     return lines, unsolvable
 
 
+def _refuse_if_none(
+    base: Study,
+    slope: np.ndarray,
+    lines: list[_Line],
+    unsolvable: list[tuple[np.ndarray, StudyError]],
+) -> None:
+    """Raise the first error of a grid without a point that can be solved: an argument
+    that is nowhere right is a mistake, not a result.
+    """
+    if not len(slope) or any(len(line.at) for line in lines):
+        return
+    if unsolvable or base.at:
+        wrong = [*unsolvable, *_wrong_slopes(base, slope)]
+        raise wrong[0][1]
+    if slopes.is_level(slope[0]):
+        raise slopes.undriven(float(slope[0]))
+    slopes.check(float(slope[0]))
+
+
 def _can_be(base: Study, slope: np.ndarray) -> np.ndarray:
     """Whether slopes, or values of a measure, can be asked for, shape (n,)."""
     return np.asarray(np.isfinite(slope) if base.at else slopes.is_slope(slope))
@@ -285,7 +285,7 @@ def _in_order(
     found: Iterator[_Found],
     unsolvable: list[tuple[np.ndarray, StudyError]],
     variables: tuple[str, ...],
-    multipliers: int,
+    checks: list[dict[str, Any]],
 ) -> Points:
     """All points in the order of the grid: those that are found, and those that cannot
     be solved.
@@ -299,6 +299,7 @@ def _in_order(
         parts = [(np.empty(0, int), Points.of_ending(0, "raised", "", variables))]
     places, points = zip(*parts, strict=True)
     order = np.argsort(np.concatenate(places))
+    multipliers = max((check["multipliers"] for check in checks), default=3)
     return joined(points, (len(GAITS), multipliers)).take(order)
 
 
@@ -346,6 +347,44 @@ def _one_for_all(g: np.ndarray) -> np.ndarray:
     low, high = dispatch.resolve("gaitsweep.tasks.walkers.walker:BOUNDS")["g"]
     can_be = (g >= low) & (g <= high)
     return np.where(can_be, g[can_be.argmax()], g) if can_be.any() else g
+
+
+class _Keys(NamedTuple):
+    """Keys of a grid's walkers as a dataset holds them: those that vary, with the slope,
+    as coordinates, those that these move as variables, the others as attributes.
+    """
+
+    coordinates: dict[str, xr.DataArray]
+    moved: dict[str, xr.DataArray]
+    constants: dict[str, str | float]
+
+
+def _keys(base: Study, arrays: Mapping[str, xr.DataArray], lines: list[_Line]) -> _Keys:
+    """The keys of the walkers of all lines."""
+    checks = [line.check for line in lines]
+    varying = {name: a for name, a in arrays.items() if a.ndim or name == base.along}
+    coordinates = {
+        name: values.assign_attrs(attributes.of_axis(name, checks[:1]))
+        for name, values in varying.items()
+    }
+    if not lines:
+        return _Keys(coordinates, {}, {})
+
+    line = lines[0].line
+    moved = _moved(line, checks, varying)
+    return _Keys(coordinates, moved, _constants(line, checks, varying))
+
+
+def _kept(
+    base: Study, checks: list[dict[str, Any]], named: Collection[str]
+) -> tuple[str, ...]:
+    """Variables that the walkers have, or that are `named`."""
+    features = {name for check in checks for name in check["features"]}
+    return tuple(
+        name
+        for name in base.variables
+        if name in named or not VARIABLES[name].is_left_out(features)
+    )
 
 
 def _constants(
@@ -533,32 +572,45 @@ def _solve_plane(
     base: Study, lines: list[_Line]
 ) -> Generator[_Found, None, list[_Line]]:
     """Solve lines that form a plane of keys; returns the lines that are left."""
-    if len(lines) < 2 or any(
-        not np.array_equal(one.slopes, lines[0].slopes) for one in lines[1:]
-    ):
+    plane = _plane(base, lines)
+    if plane is None:
         return lines
+
+    study, in_order = plane
+    plan = _plan(study)
+    _compute([plan])
+    for k in range(plan.graph.grid.chunks):
+        chunk = plan.graph.grid.chunk(k)
+        own = [in_order[number] for number in chunk.numbers.tolist()]
+        rows = [place * len(one.slopes) + one.row for place, one in enumerate(own)]
+        at = np.concatenate([one.at for one in own])
+        yield at, _points(plan, chunk).take(np.concatenate(rows))
+    return []
+
+
+def _plane(base: Study, lines: list[_Line]) -> tuple[Study, list[_Line]] | None:
+    """Lines as one study over a plane of keys, and in its order; None if charts over
+    keys do not predict their gaits.
+    """
+    if len(lines) < 2:
+        return None
+    slope = lines[0].slopes
+    if not all(np.array_equal(one.slopes, slope) for one in lines):
+        return None
+
     values = {
         key: np.array([one.line["set"][key] for one in lines])
         for key in lines[0].line["set"]
     }
     keys = {key: np.unique(each) for key, each in values.items()}
     if len(lines) != np.prod([len(each) for each in keys.values()]):
-        return lines
-    by_number = np.lexsort(
-        [*values.values()][::-1]
-    )  # as the study numbers them: by the first key, then the next
-    study = _over(base, lines[0].slopes, keys, lines[by_number[-1]].check)
-    if method_of(study) is not Method.PLANE:
-        return lines
-    plan = _plan(study)
-    _compute([plan])
-    for k in range(plan.graph.grid.chunks):
-        chunk = plan.graph.grid.chunk(k)
-        own = [lines[number] for number in by_number[chunk.numbers].tolist()]
-        rows = [place * len(one.slopes) + one.row for place, one in enumerate(own)]
-        at = np.concatenate([one.at for one in own])
-        yield at, _points(plan, chunk).take(np.concatenate(rows))
-    return []
+        return None
+
+    # The study numbers them by the first key, then the next.
+    by_number = np.lexsort([*values.values()][::-1])
+    in_order = [lines[number] for number in by_number.tolist()]
+    study = _over(base, slope, keys, in_order[-1].check)
+    return (study, in_order) if method_of(study) is Method.PLANE else None
 
 
 def _plan(study: Study) -> Plan:
@@ -600,14 +652,12 @@ def _points(plan: Plan, chunk: Chunk) -> Points:
 def _dataset(
     points: Points,
     grid: xr.DataArray,
-    coordinates: Mapping[str, xr.DataArray],
-    moved: Mapping[str, xr.DataArray],
-    constants: Mapping[str, str | float],
+    keys: _Keys,
     study: Study,
 ) -> xr.Dataset:
     """Results as an archive holds them, the gaits after the dimensions of the grid."""
     sentences = Sentences(points.sentences)
-    variables: dict[str, Any] = dict(moved)
+    variables: dict[str, Any] = dict(keys.moved)
     variables["reason_text"] = (
         "reason_index",
         np.array(sentences.texts, str),
@@ -629,8 +679,8 @@ def _dataset(
         variables["key_units"] = _key_units(study)
     return xr.Dataset(
         variables,
-        {**coords, **coordinates},
-        {**attributes.of_dataset(study), **constants},
+        {**coords, **keys.coordinates},
+        {**attributes.of_dataset(study), **keys.constants},
     )
 
 

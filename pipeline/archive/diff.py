@@ -32,49 +32,80 @@ class Tolerance:
     own: Mapping[str, float]
 
     def compare(
-        self, name: str, x: np.ndarray, y: np.ndarray, scale: np.ndarray | None = None
+        self,
+        name: str,
+        x: np.ndarray,
+        y: np.ndarray,
+        scale: np.ndarray | None = None,
     ) -> list[str]:
         """Differences between the values of a variable, if any, in a sentence."""
         if x.shape != y.shape:
             return [f"`{name}` has {counted(x.size, 'value')} and {y.size:,}"]
-        if x.dtype.kind != "f" or y.dtype.kind != "f":
-            unequal = (
-                x.astype(str) != y.astype(str)
-                if "O" in (x.dtype.kind, y.dtype.kind)
-                else x != y
-            )
-            return (
-                [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ"]
-                if unequal.any()
-                else []
-            )
-        rtol, unit = self.own.get(name, self.rtol), " of their size"
-        with np.errstate(invalid="ignore", divide="ignore"):
-            size = np.maximum(np.abs(x), np.abs(y)) if scale is None else scale
-            if name not in self.own and name.rpartition("/")[2] in _ROUNDING:
-                size, unit = np.ones(x.shape), ""
-            gap = np.abs(x - y)
-            unequal = ~((gap <= rtol * size) | (x == y) | (np.isnan(x) & np.isnan(y)))
-            worst = np.max(
-                np.where(unequal & np.isfinite(gap) & (size > 0), gap / size, 0.0),
-                initial=0.0,
-            )
-        if not unequal.any():
+        kinds = x.dtype.kind, y.dtype.kind
+        if kinds == ("f", "f"):
+            return self._compare_numbers(name, x, y, scale)
+
+        if "O" in kinds:
+            x = x.astype(str)
+            y = y.astype(str)
+        unequal = np.count_nonzero(x != y)
+        return [f"`{name}`: {unequal:,} of {x.size:,} differ"] if unequal else []
+
+    def _compare_numbers(
+        self,
+        name: str,
+        x: np.ndarray,
+        y: np.ndarray,
+        scale: np.ndarray | None,
+    ) -> list[str]:
+        """Differences between numbers beyond a tolerance times their scale, by default
+        the larger of two.
+        """
+        rtol = self.own.get(name, self.rtol)
+        unit = " of their size"
+        if name not in self.own and name.rpartition("/")[2] in _ROUNDING:
+            scale = np.ones(x.shape)
+            unit = ""
+        unequal, worst = _unequal(x, y, rtol, scale)
+        differing = np.count_nonzero(unequal)
+        if not differing:
             return []
+
         absent = np.count_nonzero(np.isnan(x) != np.isnan(y))
-        by = (
-            [f"by up to {worst:.2g}{unit}"]
-            if absent < np.count_nonzero(unequal)
-            else []
-        )
-        by += [f"{absent:,} absent in one"] if absent else []
-        return [
-            f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, {', '.join(by)}"
-        ]
+        by = []
+        if absent < differing:
+            by.append(f"by up to {worst:.2g}{unit}")
+        if absent:
+            by.append(f"{absent:,} absent in one")
+        return [f"`{name}`: {differing:,} of {x.size:,} differ, {', '.join(by)}"]
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def _unequal(
+    x: np.ndarray,
+    y: np.ndarray,
+    rtol: float,
+    scale: np.ndarray | None,
+) -> tuple[np.ndarray, float]:
+    """Which numbers differ by more than a tolerance times their scale, and by how much
+    at most, over that.
+    """
+    if scale is None:
+        scale = np.maximum(np.abs(x), np.abs(y))
+    gap = np.abs(x - y)
+    both_absent = np.isnan(x) & np.isnan(y)
+    unequal = ~((gap <= rtol * scale) | (x == y) | both_absent)
+
+    has_size = np.isfinite(gap) & (scale > 0)
+    over_scale = np.where(has_size, gap / scale, 0.0)
+    return unequal, np.max(over_scale, initial=0.0)
 
 
 def diff(
-    a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = None
+    a: Path,
+    b: Path,
+    rtol: float = 0.0,
+    own: Mapping[str, float] | None = None,
 ) -> list[str]:
     """List the differences between two archives, aligned by coordinates.
 
@@ -100,30 +131,139 @@ def diff(
     """
     tolerance = Tolerance(rtol, own or {})
     with open_archive(a) as left, open_archive(b) as right:
-        kinds = [getattr(file, "kind", None) for file in (left, right)]
-        differences = (
-            [f"the kind differs: {kinds[0]} and {kinds[1]}"]
-            if kinds[0] != kinds[1]
-            else []
-        )
-        constants, others = _parameters(left), _parameters(right)
-        for name in sorted(constants.keys() & others.keys()):
-            differences += tolerance.compare(name, constants[name], others[name])
-        x, y = (
-            dataset(file, mask_and_scale=False, decode_times=False)
-            for file in (left, right)
-        )
-        for name in sorted(
-            (set(x.indexes) | set(y.indexes)) - (set(x.sizes) & set(y.sizes))
-        ):
-            differences.append(
-                f"the dimension `{name}` is only in {a if name in x.sizes else b}"
-            )
-        differences += _compare_groups((left, right), (a, b), (x, y), tolerance)
         names = {name for file in (left, right) for name, _ in layout.variables(file)}
         for name in sorted(tolerance.own.keys() - names):
             raise ArchiveError(f"Neither {a} nor {b} holds `{name}`.")
-        return differences
+
+        grids = _raw(left), _raw(right)
+        return [*_Comparison((a, b), grids, tolerance).of_archives(left, right)]
+
+
+def _raw(group: Any) -> xr.Dataset:
+    """A group with its values as they are stored."""
+    return dataset(group, mask_and_scale=False, decode_times=False)
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """What two archives are compared by: their paths, their main groups, and the
+    tolerance.
+    """
+
+    paths: tuple[Path, Path]
+    grids: _Pair
+    tolerance: Tolerance
+
+    def of_archives(self, left: Any, right: Any) -> Iterator[str]:
+        """Differences between two open archives."""
+        kinds = [getattr(file, "kind", None) for file in (left, right)]
+        if kinds[0] != kinds[1]:
+            yield f"the kind differs: {kinds[0]} and {kinds[1]}"
+
+        constants = _parameters(left)
+        others = _parameters(right)
+        for name in sorted(constants.keys() & others.keys()):
+            yield from self.tolerance.compare(name, constants[name], others[name])
+
+        x, y = self.grids
+        in_both = x.sizes.keys() & y.sizes.keys()
+        for dim in sorted({*x.indexes, *y.indexes} - in_both):
+            yield f"the dimension `{dim}` is only in {self._holder(dim in x.sizes)}"
+        yield from self._of_groups(left, right)
+
+    def _of_groups(self, left: Any, right: Any, prefix: str = "") -> Iterator[str]:
+        """Differences between two open groups, and between the groups in them."""
+        x, y = self.grids
+        if prefix:
+            x = _opened(left, x)
+            y = _opened(right, y)
+        yield from self._of_coordinates(x, y, prefix)
+
+        rows = _matching_rows(x, y, self.grids)
+        for name in _compared(x, y):
+            if name not in x or name not in y:
+                yield f"`{prefix}{name}` is only in {self._holder(name in x)}"
+            elif prefix or set(x[name].dims) <= set(y.sizes):
+                yield from self._of_variable(name, prefix, (x, y), rows)
+
+        for name in sorted({*left.groups, *right.groups}):
+            path = f"{prefix}{name}"
+            if name in left.groups and name in right.groups:
+                inner = left.groups[name], right.groups[name]
+                yield from self._of_groups(*inner, f"{path}/")
+            else:
+                holder = self._holder(name in left.groups)
+                yield f"the group /{path} is only in {holder}"
+
+    def _holder(self, is_first: bool) -> Path:
+        """The archive that alone holds something: the first, or the second."""
+        return self.paths[0] if is_first else self.paths[1]
+
+    def _of_coordinates(
+        self,
+        x: xr.Dataset,
+        y: xr.Dataset,
+        prefix: str,
+    ) -> Iterator[str]:
+        """Values of coordinates that only one of two groups has."""
+        for name in sorted(set(x.indexes) & set(y.indexes)):
+            if prefix and name != "slope":
+                continue  # said of the main groups
+            for one, other, path in ((x, y, self.paths[0]), (y, x, self.paths[1])):
+                missing = len(one.indexes[name].difference(other.indexes[name]))
+                if missing:
+                    values = f"{missing:,} of {one.sizes[name]:,} values"
+                    yield f"{values} of `{prefix}{name}` are only in {path}"
+
+    def _of_variable(
+        self,
+        name: str,
+        prefix: str,
+        groups: _Pair,
+        rows: tuple[np.ndarray, np.ndarray],
+    ) -> list[str]:
+        """Differences between a variable of two groups, where both have it; of tables in
+        some `rows`.
+        """
+        x, y = (group[name].load() for group in groups)
+        path = f"{prefix}{name}"
+        if set(x.dims) != set(y.dims):
+            return [f"`{path}` has other dimensions"]
+        units = [variable.attrs.get("units") for variable in (x, y)]
+        if units[0] != units[1]:
+            return [f"`{path}` is in {units[0]} and in {units[1]}"]
+        if x.dims == ("row",):
+            return self.tolerance.compare(path, x.values[rows[0]], y.values[rows[1]])
+
+        one, other, size = _aligned(name, groups)
+        if name == "status":
+            return _compare_status(one, other)
+        if name == "reason":
+            one = _sentences(groups[0])[one]
+            other = _sentences(groups[1])[other]
+        return self.tolerance.compare(path, one, other, size)
+
+
+def _compared(x: xr.Dataset, y: xr.Dataset) -> list[str]:
+    """Names of the variables of two groups that are compared."""
+    others = {*x.indexes, *y.indexes, "reason_text"}
+    return sorted(map(str, {*x.variables, *y.variables} - others))
+
+
+def _aligned(
+    name: str, groups: _Pair
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Values of a variable at the coordinates that two groups share, and the size with
+    which they are compared, if it is not their own.
+    """
+    x, y = (group[name] for group in groups)
+    parts = [x, y, *_magnitudes(name, groups)]
+    unindexed = set(x.dims) - set(x.indexes)
+    aligned = xr.align(*parts, join="inner", exclude=unindexed)
+    # Those of a single line are scalars.
+    values = [np.atleast_1d(part.transpose(*x.dims).values) for part in aligned]
+    one, other, *sizes = values
+    return one, other, np.maximum(*sizes) if sizes else None
 
 
 def _parameters(file: Any) -> dict[str, np.ndarray]:
@@ -138,144 +278,80 @@ def _parameters(file: Any) -> dict[str, np.ndarray]:
     }
 
 
-def _compare_groups(
-    groups: tuple[Any, Any],
-    paths: tuple[Path, Path],
-    grids: _Pair,
-    tolerance: Tolerance,
-    prefix: str = "",
-) -> Iterator[str]:
-    """Differences between two open groups, and the groups in them; `grids` are the main
-    groups of the archives.
-    """
-    x, y = (
-        _opened(group, grid) if prefix else grid
-        for group, grid in zip(groups, grids, strict=True)
-    )
-    for name in sorted(set(x.indexes) & set(y.indexes)):
-        if prefix and name != "slope":
-            continue  # said of the main groups
-        for one, other, path in ((x, y, paths[0]), (y, x, paths[1])):
-            if n := len(one.indexes[name].difference(other.indexes[name])):
-                yield f"{n:,} of {one.sizes[name]:,} values of `{prefix}{name}` are only in {path}"
-    rows = _matching_rows(x, y, grids)
-    for name in sorted(
-        map(str, {*x.variables, *y.variables} - {*x.indexes, *y.indexes, "reason_text"})
-    ):
-        if name not in x or name not in y:
-            yield f"`{prefix}{name}` is only in {paths[0] if name in x else paths[1]}"
-        elif prefix or set(x[name].dims) <= set(y.sizes):
-            yield from _compare(name, prefix, (x, y), rows, tolerance)
-    for name in sorted(set(groups[0].groups) | set(groups[1].groups)):
-        inner = [group.groups.get(name) for group in groups]
-        if None in inner:
-            yield f"the group /{prefix}{name} is only in {paths[inner.index(None) - 1]}"
-        else:
-            yield from _compare_groups(
-                (inner[0], inner[1]), paths, grids, tolerance, f"{prefix}{name}/"
-            )
-
-
 def _opened(group: Any, grid: xr.Dataset) -> xr.Dataset:
     """A group with the coordinates of the lines; its own, but for slopes, are results,
     and compared as such.
     """
-    opened = dataset(group, mask_and_scale=False, decode_times=False)
-    own = [name for name in opened.indexes if name != "slope"]
-    opened = opened.drop_indexes(own).reset_coords(own)
-    return opened.assign_coords(
-        {
-            name: grid[name]
-            for name in opened.dims
-            if name in grid.indexes and name not in opened
-        }
-    )
+    opened = _raw(group)
+    results = [name for name in opened.indexes if name != "slope"]
+    opened = opened.drop_indexes(results).reset_coords(results)
+    of_lines = [dim for dim in opened.dims if dim in grid.indexes and dim not in opened]
+    return opened.assign_coords({dim: grid[dim] for dim in of_lines})
 
 
-def _compare(
-    name: str,
-    prefix: str,
-    groups: _Pair,
-    rows: tuple[np.ndarray, np.ndarray],
-    tolerance: Tolerance,
-) -> list[str]:
-    """Differences between a variable of two groups, where both have it; of tables in
-    some `rows`.
-    """
-    x, y = (group[name].load() for group in groups)
-    if set(x.dims) != set(y.dims):
-        return [f"`{prefix}{name}` has other dimensions"]
-    units = [each.attrs.get("units") for each in (x, y)]
-    if units[0] != units[1]:
-        return [f"`{prefix}{name}` is in {units[0]} and in {units[1]}"]
-    if x.dims == ("row",):
-        return tolerance.compare(
-            f"{prefix}{name}", x.values[rows[0]], y.values[rows[1]]
-        )
-    parts = [x, y]
-    if name in _PARTS and all(set(_PARTS) <= set(group) for group in groups):
-        parts += [sum(group[part] ** 2 for part in _PARTS) ** 0.5 for group in groups]
-    parts = list(xr.align(*parts, join="inner", exclude=set(x.dims) - set(x.indexes)))
-    one, other, *sizes = (
-        np.atleast_1d(part.transpose(*x.dims).values) for part in parts
-    )  # scalars of a single line
-    if name == "status":
-        return _compare_status(one, other)
-    if name == "reason":
-        one, other = (
-            group["reason_text"].values.astype(str)[each]
-            for group, each in zip(groups, (one, other), strict=True)
-        )
-    return tolerance.compare(
-        f"{prefix}{name}", one, other, np.maximum(*sizes) if sizes else None
-    )
+def _magnitudes(name: str, groups: _Pair) -> list[xr.DataArray]:
+    """Magnitudes of the eigenvalues of two groups, if a variable is a part of them."""
+    if name not in _PARTS or not all(set(_PARTS) <= set(group) for group in groups):
+        return []
+    return [sum(group[part] ** 2 for part in _PARTS) ** 0.5 for group in groups]
+
+
+def _sentences(group: xr.Dataset) -> np.ndarray:
+    """Reasons by their numbers."""
+    return np.asarray(group["reason_text"].values.astype(str))
 
 
 def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
-    pairs, counts = np.unique(
-        np.stack([x[x != y], y[x != y]]), axis=1, return_counts=True
-    )
-    return [
-        f"`status`: {n:,} were {STATUS_NAMES.get(int(p), p)} and are {STATUS_NAMES.get(int(q), q)}"
-        for (p, q), n in zip(pairs.T, counts, strict=True)
-    ]
+    """How many points had another status, by both."""
+    differ = x != y
+    changes = np.stack([x[differ], y[differ]])
+    pairs, counts = np.unique(changes, axis=1, return_counts=True)
+    sentences = []
+    for pair, n in zip(pairs.T.tolist(), counts, strict=True):
+        was, now = (STATUS_NAMES.get(number, number) for number in pair)
+        sentences.append(f"`status`: {n:,} were {was} and are {now}")
+    return sentences
 
 
 def _matching_rows(
-    x: xr.Dataset, y: xr.Dataset, grids: _Pair
+    x: xr.Dataset,
+    y: xr.Dataset,
+    grids: _Pair,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows of two tables on the lines that both archives have, in one order; by slope
     where both have the same ones.
     """
+    indexes, others = (grid.indexes for grid in grids)
     # A column `slope` may be a result, as along a branch or at a fold.
-    names = (set(grids[0].indexes) & set(grids[1].indexes)) - {"slope", "gait"}
-    shared = {
-        name: grids[0].indexes[name].intersection(grids[1].indexes[name])
-        for name in names
-    }
+    names = (set(indexes) & set(others)) - {"slope", "gait"}
+    shared = {name: indexes[name].intersection(others[name]) for name in names}
     rows = _rows(x, shared), _rows(y, shared)
-    if all("row" in table.sizes and "slope" in table for table in (x, y)):
-        p, q = (
-            np.unique(table["slope"].values[own])
-            for table, own in zip((x, y), rows, strict=True)
-        )
-        if np.array_equal(p, q):
-            return _rows(x, shared, by_slope=True), _rows(y, shared, by_slope=True)
-    return rows
+    if not all("row" in table.sizes and "slope" in table for table in (x, y)):
+        return rows
+
+    p, q = (
+        np.unique(table["slope"].values[kept])
+        for table, kept in zip((x, y), rows, strict=True)
+    )
+    if not np.array_equal(p, q):
+        return rows
+    return _rows(x, shared, by_slope=True), _rows(y, shared, by_slope=True)
 
 
 def _rows(
-    table: xr.Dataset, shared: Mapping[Any, pd.Index], by_slope: bool = False
+    table: xr.Dataset,
+    shared: Mapping[Any, pd.Index],
+    by_slope: bool = False,
 ) -> np.ndarray:
     """Rows of a table whose line has `shared` coordinates, line by line."""
     names = sorted(set(shared) & set(table.data_vars), reverse=True)
     order = [*names, "slope"] if by_slope else names
-    rows = pd.DataFrame(
-        {name: table[name].values for name in order},
-        np.arange(table.sizes.get("row", 0)),
-    )
+    columns = {name: table[name].values for name in order}
+    rows = pd.DataFrame(columns, np.arange(table.sizes.get("row", 0)))
     for name in names:
         rows = rows[rows[name].isin(shared[name])]
-    # Stable: rows of one line, or of one slope of it, stay as its task has written
-    # them.
-    return np.asarray((rows.sort_values(order, kind="stable") if order else rows).index)
+    if order:
+        # Stable: rows of one line, or of one slope of it, stay as its task has written
+        # them.
+        rows = rows.sort_values(order, kind="stable")
+    return np.asarray(rows.index)

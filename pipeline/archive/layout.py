@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.pipeline.grid.boxes import Box, boxes
 
@@ -40,16 +41,15 @@ def variables(parent: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 def tables(file: Any) -> list[str]:
     """Names of the tables in an open archive, as "fits/scaling"."""
-    return list(
-        dict.fromkeys(
-            name.rpartition("/")[0] for name, _ in variables(file) if "/" in name
-        )
-    )
+    names = [column.rpartition("/")[0] for column, _ in variables(file)]
+    return list(dict.fromkeys(name for name in names if name))
 
 
 def split(
-    values: np.ndarray, box: Box, extent: tuple[int, ...]
-) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
+    values: ndarray,
+    box: Box,
+    extent: tuple[int, ...],
+) -> Iterator[tuple[tuple[int, ...], ndarray]]:
     """Split a box that starts at the corner of a chunk into chunks.
 
     Parameters
@@ -67,12 +67,14 @@ def split(
     part : ndarray
         Its values; at the end of the variable they are fewer than `extent`.
     """
-    start = (*(s.start for s in box), *(0,) * (values.ndim - len(box)))
-    for part in boxes({str(k): n for k, n in enumerate(values.shape)}, extent, 0):
-        yield (
-            tuple(a + span.start for a, span in zip(start, part, strict=True)),
-            values[part],
-        )
+    inner = values.ndim - len(box)
+    start = [span.start for span in box] + [0] * inner
+    sizes = {str(k): n for k, n in enumerate(values.shape)}
+    for part in boxes(sizes, extent, 0):
+        corner = []
+        for begin, span in zip(start, part, strict=True):
+            corner.append(begin + span.start)
+        yield tuple(corner), values[part]
 
 
 def chunk_checksum(checksum: int, corner: tuple[int, ...]) -> int:
@@ -86,12 +88,12 @@ def chunk_checksum(checksum: int, corner: tuple[int, ...]) -> int:
     corner : tuple of int
         Start of the chunk in the variable.
     """
-    return zlib.crc32(
-        checksum.to_bytes(4, "little"), zlib.crc32(",".join(map(str, corner)).encode())
-    )
+    place = ",".join(map(str, corner))
+    of_corner = zlib.crc32(place.encode())
+    return zlib.crc32(checksum.to_bytes(4, "little"), of_corner)
 
 
-def checksum(values: np.ndarray) -> int:
+def checksum(values: ndarray) -> int:
     """Checksum of a small variable.
 
     Parameters
@@ -103,7 +105,7 @@ def checksum(values: np.ndarray) -> int:
     int
     """
     if values.dtype.kind in "OU":
-        data: bytes | memoryview = "\0".join(values.ravel().tolist()).encode()
-    else:
-        data = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
-    return zlib.crc32(data)
+        text = "\0".join(values.ravel().tolist())
+        return zlib.crc32(text.encode())
+    flat = np.ascontiguousarray(values).reshape(-1)
+    return zlib.crc32(flat.view(np.uint8).data)

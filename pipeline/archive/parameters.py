@@ -3,7 +3,7 @@ attributes where they do not.
 """
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,18 +36,14 @@ def write(file: Any, study: Study) -> None:
     for key in _constant_along_lines(study):
         if key not in axes:
             _write_one(file, study, key, axes)
-    moved = {
-        key
-        for check in study.checks
-        for key, owners in check["varied"].items()
-        if axes.keys() & owners
-    }
-    put(
-        file,
-        exact_offsets(
-            {*axes, *moved}, tables, study.names if study.walker_axis else ()
-        ),
-    )
+
+    moved = set(axes)
+    for check in study.checks:
+        for key, owners in check["varied"].items():
+            if axes.keys() & owners:
+                moved.add(key)
+    names = study.names if study.walker_axis else ()
+    put(file, exact_offsets(moved, tables, names))
 
 
 def _constant_along_lines(study: Study) -> list[str]:
@@ -103,11 +99,10 @@ def exact_offsets(
     found = [exact(walker(**table)) for table in tables]
     if not any(found):
         return {}
-    about = (
-        {name: offsets for name, offsets in zip(names, found, strict=True) if offsets}
-        if names
-        else found[0]
-    )
+    about = found[0]
+    if names:
+        pairs = zip(names, found, strict=True)
+        about = {name: offsets for name, offsets in pairs if offsets}
     return {"exact_offsets": json.dumps(about)}
 
 
@@ -124,28 +119,38 @@ def _on_grid(
     return of_walkers(walker, key, dict(zip(axes, grid, strict=True)))
 
 
+def _movers(study: Study, key: str, axes: Iterable[str]) -> tuple[str, ...]:
+    """The axes that move a parameter of any of the study's walkers."""
+    owners: set[str] = set()
+    for check in study.checks:
+        owners.update(check["varied"].get(key, ()))
+    return tuple(axis for axis in axes if axis in owners)
+
+
 def _write_one(
     file: Any, study: Study, key: str, axes: Mapping[str, np.ndarray]
 ) -> None:
     """Write a parameter of the study's walkers along the axes that move it."""
     tables = [check["table"] for check in study.checks]
-    owners = {owner for check in study.checks for owner in check["varied"].get(key, ())}
-    across = tuple(axis for axis in axes if axis in owners)
+    across = _movers(study, key, axes)
     if not across and not any(key in table for table in tables):
         return
+
     # Tables leave out what their walker is not driven by.
     values = np.array([float(table.get(key, 0.0)) for table in tables])
     is_own = study.walker_axis and (across or len(set(values)) > 1)
-    dims = (*(["walker"] if is_own else []), *across)
+    sizes = {axis: len(axes[axis]) for axis in across}
+    if is_own:
+        sizes = {"walker": len(study.walkers), **sizes}
     if across:
         moving = {axis: axes[axis] for axis in across}
         values = np.array([_on_grid(w, key, moving) for w in study.walkers])
-    if not dims:
+    if not sizes:
         put(file, {key: float(values.ravel()[0])})
         return
-    shape = [len(study.walkers) if d == "walker" else len(axes[d]) for d in dims]
     about = described(key, study.checks, bool(across))
-    write_variable(file, key, dims, values.reshape(shape), about)
+    on_axes = values.reshape(list(sizes.values()))
+    write_variable(file, key, tuple(sizes), on_axes, about)
 
 
 def of_walkers(walker: Definition, key: str, changes: Mapping[str, Any]) -> np.ndarray:

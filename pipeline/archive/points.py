@@ -86,11 +86,10 @@ class PointWriter:
         """Count the points of a chunk, and note its sentences and the gaits that it
         has.
         """
-        head = (
-            self.plan.store.chunk(key)
-            if key in self.plan.store
-            else Head.parse(self._record(chunk, key).head)
-        )
+        if key in self.plan.store:
+            head = self.plan.store.chunk(key)
+        else:
+            head = Head.parse(self._record(chunk, key).head)
         rows, sentences = head.rows(self.columns), head.sentences(self.columns)
         self.written.counts += count(rows, STATUS_NAMES)
         self._is_solved |= np.isin(list(rows), OF_GAITS).any(axis=0)
@@ -121,11 +120,9 @@ class PointWriter:
         """Record of a chunk; of one that is not stored, why it is not."""
         if key in self.plan.store:
             return self.plan.store.get(key)
-        atlas = (
-            None
-            if len(chunk.numbers) > 1
-            else self.plan.outcome_of_line(int(chunk.numbers[0]))
-        )
+        atlas = None
+        if len(chunk.numbers) == 1:
+            atlas = self.plan.outcome_of_line(int(chunk.numbers[0]))
         if atlas is None or atlas.status == "ok":
             return self._unfinished(chunk.shape, "not_attempted", NOT_ATTEMPTED)
         return self._unfinished(chunk.shape, atlas.status, of_atlas(atlas.reason))

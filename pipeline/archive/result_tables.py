@@ -38,37 +38,38 @@ def write(file: Any, plan: Plan) -> None:
     reasons.
     """
     for name, layer in plan.graph.layers.items():
-        if name in registry.INTERNAL or (
-            name in registry.OPTIONS and name != plan.study.kind
-        ):
-            continue
-        parts: dict[str, list[tuple[np.ndarray, Columns]]] = {}
-        for coordinates, key, numbers in _task_runs(plan, name, layer.per_line):
-            tables = split(plan.store.result(key) or {})
-            tables.pop("nothing", None)  # its reason is the line's
-            for group, columns in tables.items():
-                parts.setdefault(group, []).append(
-                    (numbers, {**_repeat(coordinates, columns), **columns})
-                )
-        for group in sorted(parts):
-            places, tables_of_jobs = zip(*parts[group], strict=True)
-            columns = _stack(tables_of_jobs)
-            if plan.study.kind == name == "design":
-                # Jobs go through the grid cell by cell, rows line by line.
-                order = np.argsort(np.concatenate(places), kind="stable")
-                columns = {name: values[order] for name, values in columns.items()}
-            _group(file, plan, group, columns)
-    if failures := list(failed(plan)):
-        columns = dict(
-            zip(
-                ("task", "outcome", "reason"),
-                map(np.array, zip(*failures, strict=True)),
-                strict=True,
-            )
-        )
-        _group(file, plan, "failed_tasks", columns)
+        is_of_another_kind = name in registry.OPTIONS and name != plan.study.kind
+        if name not in registry.INTERNAL and not is_of_another_kind:
+            _write_task(file, plan, name, layer.per_line)
+
+    failures = [*failed(plan)]
+    if failures:
+        columns = zip(*failures, strict=True)
+        names = ("task", "outcome", "reason")
+        tables = dict(zip(names, map(np.array, columns), strict=True))
+        _group(file, plan, "failed_tasks", tables)
     if plan.study.overlay:
         _group(file, plan, "overlay", dict(plan.study.overlay))
+
+
+def _write_task(file: Any, plan: Plan, name: str, per_line: bool) -> None:
+    """Write the tables of one task, over all its jobs."""
+    parts: dict[str, list[tuple[np.ndarray, Columns]]] = {}
+    for coordinates, key, numbers in _task_runs(plan, name, per_line):
+        tables = split(plan.store.result(key) or {})
+        tables.pop("nothing", None)  # its reason is the line's
+        for group, columns in tables.items():
+            whole = {**_repeat(coordinates, columns), **columns}
+            parts.setdefault(group, []).append((numbers, whole))
+
+    for group in sorted(parts):
+        places, tables_of_jobs = zip(*parts[group], strict=True)
+        columns = _stack(tables_of_jobs)
+        if plan.study.kind == name == "design":
+            # Jobs go through the grid cell by cell, rows line by line.
+            order = np.argsort(np.concatenate(places), kind="stable")
+            columns = {column: values[order] for column, values in columns.items()}
+        _group(file, plan, group, columns)
 
 
 def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
@@ -76,24 +77,26 @@ def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
     need.
     """
     for name, layer in plan.graph.layers.items():
-        if name != "points" and (name != "atlas" or plan.graph.atlas_readers):
-            runs = (
-                (key for _, key, _ in _task_runs(plan, name, layer.per_line))
-                if name != "charts"
-                else _charts(plan)
-            )
-            for key in runs:
-                ending = plan.store.outcome(key)
-                if ending and ending.status != "ok":
-                    yield name, ending.status, ending.reason
+        if name == "points" or (name == "atlas" and not plan.graph.atlas_readers):
+            continue
+        if name == "charts":
+            keys = _charts(plan)
+        else:
+            keys = (key for _, key, _ in _task_runs(plan, name, layer.per_line))
+        for key in keys:
+            ending = plan.store.outcome(key)
+            if ending and ending.status != "ok":
+                yield name, ending.status, ending.reason
 
 
 def _charts(plan: Plan) -> Iterable[str]:
     """Keys of all charts: a million lines of a plane share them."""
-    chunks = map(plan.graph.grid.chunk, range(plan.graph.grid.chunks))
-    return dict.fromkeys(
-        charts.key for chunk in chunks for charts in plan.charts_of(chunk)
-    )
+    grid = plan.graph.grid
+    keys: dict[str, None] = {}
+    for number in range(grid.chunks):
+        for charts in plan.charts_of(grid.chunk(number)):
+            keys[charts.key] = None
+    return keys
 
 
 def _task_runs(
@@ -161,21 +164,20 @@ def _stack(parts: Sequence[Columns]) -> Columns:
     """The rows of all parts; a column that some lack, such as a rate of other walkers,
     is NaN or empty there.
     """
-    absent = {
-        name: "" if values.dtype.kind == "U" else np.nan
-        for part in parts
-        for name, values in part.items()
-    }
-    lengths = [len(next(iter(part.values()))) for part in parts]
-    return {
-        name: np.concatenate(
-            [
-                part.get(name, np.full(n, nothing))
-                for part, n in zip(parts, lengths, strict=True)
-            ]
-        )
-        for name, nothing in absent.items()
-    }
+    absent: dict[str, str | float] = {}
+    for part in parts:
+        for name, values in part.items():
+            absent[name] = "" if values.dtype.kind == "U" else np.nan
+
+    stacked = {}
+    for name, nothing in absent.items():
+        columns = []
+        for part in parts:
+            rows = len(next(iter(part.values())))
+            missing = np.full(rows, nothing)
+            columns.append(part.get(name, missing))
+        stacked[name] = np.concatenate(columns)
+    return stacked
 
 
 def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
@@ -205,7 +207,9 @@ class _Arrays:
     """
 
     def __init__(self, file: Any, plan: Plan, group: str, columns: Columns):
-        self.plan, self.group, self.columns = plan, group, columns
+        self.plan = plan
+        self.group = group
+        self.columns = columns
         self.netcdf_group = file.createGroup(group)
         self.dims = [*plan.graph.grid.line_dims, "slope"]
         self.sizes, self.case = _cases(plan, self.dims, columns)
@@ -248,9 +252,11 @@ class _Arrays:
             values, flags = _flags(values)
             described |= flags
 
-        dtype, absent = np.dtype(float), np.nan
+        dtype = np.dtype(float)
+        absent = np.nan
         if values.dtype.kind in "iu":
-            dtype, absent = np.min_scalar_type(-int(values.max(initial=0)) - 1), -1
+            dtype = np.min_scalar_type(-int(values.max(initial=0)) - 1)
+            absent = -1
 
         constant = _CONSTANT.get(name, ())
         along = [each for each in self.inner if each not in constant]
@@ -288,7 +294,9 @@ def _flags(words: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
 
 
 def _cases(
-    plan: Plan, dims: Sequence[str], columns: Columns
+    plan: Plan,
+    dims: Sequence[str],
+    columns: Columns,
 ) -> tuple[list[int], np.ndarray]:
     """Lengths of some axes of the grid, and the number of each row's place on them."""
     known = {axis.name: axis.values for axis in plan.study.axes}
@@ -321,14 +329,13 @@ def meaning_of(name: str, group: str = "") -> tuple[str, str]:
     """Kind of quantity and meaning of a column; one without a description is called by
     its name.
     """
-    kinds, known = units.kinds(), table_columns()
+    kinds = units.kinds()
+    known = table_columns()
     if name in registry.VARIABLES and f"{group}/{name}" not in known:
         return registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
-    own = (
-        EXTRA_AXES.get(name, f"walker's {name}")
-        if name in kinds
-        else name.replace("_", " ")
-    )
+    own = name.replace("_", " ")
+    if name in kinds:
+        own = EXTRA_AXES.get(name, f"walker's {name}")
     kind, meaning = (
         known.get(f"{group}/{name}")
         or known.get(name)

@@ -53,13 +53,19 @@ def table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
     if any(variable.ndim > 1 for variable in variables.values()):
         frame = _unfolded(dataset, grid)
     else:
-        columns = {str(k): v.values for k, v in variables.items() if v.ndim == 1}
-        rows = max((len(v) for v in columns.values()), default=0)
-        frame = pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
+        columns = {}
+        for name, variable in variables.items():
+            if variable.ndim == 1:
+                columns[str(name)] = variable.values
+        rows = max(map(len, columns.values()), default=0)
+        whole = {name: c for name, c in columns.items() if len(c) == rows}
+        frame = pd.DataFrame(whole)
+
     for what, attribute in (("units", "units"), ("meanings", "long_name")):
-        frame.attrs[what] = _Shared(
-            {str(k): str(v.attrs.get(attribute, "")) for k, v in variables.items()}
-        )
+        words = _Shared()
+        for name, variable in variables.items():
+            words[str(name)] = str(variable.attrs.get(attribute, ""))
+        frame.attrs[what] = words
     return frame
 
 
@@ -68,30 +74,46 @@ def _unfolded(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
     or a flag are left out.
     """
     dims = max((v.dims for v in dataset.variables.values()), key=len)
-    whole = dataset.assign_coords(
-        {d: grid[d] for d in dims if d in grid.coords and d not in dataset.coords}
-    )
-    own = {f"{d}_values" for d in dims}
-    frame = whole.drop_vars(
-        [n for n in whole.data_vars if not set(whole[n].dims) <= set(dims)]
-    ).to_dataframe()
-    frame = frame.reset_index()
-    for name in own & set(frame):
-        frame[name.removesuffix("_values")] = frame.pop(name)
-    numbers = frame.columns.difference([str(d) for d in dims])
+    frame = _frame(dataset, grid, dims)
     empty = np.ones(len(frame), bool)
-    for name in numbers:
-        meanings = (
-            str(dataset[name].attrs.get("flag_meanings", "")).split()
-            if name in dataset
-            else []
-        )
+    for name in frame.columns.difference([str(d) for d in dims]):
         values = frame[name].to_numpy()
-        if values.dtype.kind != "O":
-            empty &= np.isnan(values) if values.dtype.kind == "f" else values < 0
-        if meanings:
-            words = [word.replace("_", " ") for word in meanings]
-            frame[name] = pd.Categorical.from_codes(
-                np.where(values < len(words), values, -1), words
-            )
+        if values.dtype.kind == "f":
+            empty &= np.isnan(values)
+        elif values.dtype.kind != "O":
+            empty &= values < 0
+
+        words = _words(dataset, name)
+        if words:
+            codes = np.where(values < len(words), values, -1)
+            frame[name] = pd.Categorical.from_codes(codes, words)
     return frame[~empty].reset_index(drop=True)
+
+
+def _frame(
+    dataset: xr.Dataset,
+    grid: xr.Dataset,
+    dims: tuple[Any, ...],
+) -> pd.DataFrame:
+    """A row for each element of the arrays of a group, with its coordinates."""
+    of_lines = [d for d in dims if d in grid.coords and d not in dataset.coords]
+    whole = dataset.assign_coords({d: grid[d] for d in of_lines})
+    beside = []
+    for name, variable in whole.data_vars.items():
+        if not set(variable.dims) <= set(dims):
+            beside.append(name)
+
+    frame = whole.drop_vars(beside).to_dataframe().reset_index()
+    for dim in dims:
+        values = f"{dim}_values"
+        if values in frame:
+            frame[dim] = frame.pop(values)
+    return frame
+
+
+def _words(dataset: xr.Dataset, name: str) -> list[str]:
+    """What the flags of a variable mean, if they are flags."""
+    if name not in dataset:
+        return []
+    meanings = str(dataset[name].attrs.get("flag_meanings", "")).split()
+    return [word.replace("_", " ") for word in meanings]

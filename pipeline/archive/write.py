@@ -44,8 +44,8 @@ from gaitsweep.pipeline.errors import (
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
 from gaitsweep.pipeline.store.record import sentence_number
-from gaitsweep.pipeline.store.store import Outcome
 from gaitsweep.pipeline.study import corners
+from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks.contract.registry import VARIABLES
 
 
@@ -202,53 +202,54 @@ def _attributes(owner: Any) -> dict[str, str]:
 
 def _write_header(file: Any, plan: Plan, writer: "PointWriter | _LineWriter") -> None:
     study = plan.study
-    attributes.put(
-        file,
-        {
-            **attributes.of_dataset(study),
-            "title": f"gaitsweep study {study.name}",
-            "institution": "gaitsweep developers",
-            "history": "written by gaitsweep run",
-            "gaitsweep_schema": np.int32(SCHEMA),
-            "study": study.name,
-            "kind": study.kind,
-            "not_attempted": np.int64(writer.written.counts["not_attempted"]),
-            "figures": " ".join(study.figures),
-            "provenance": provenance(plan),
-            **(
-                {"walker_notes": "\n".join(notes)}
-                if (notes := corners.notes(study))
-                else {}
-            ),
-        },
-    )
+    about: dict[str, Any] = {
+        **attributes.of_dataset(study),
+        "title": f"gaitsweep study {study.name}",
+        "institution": "gaitsweep developers",
+        "history": "written by gaitsweep run",
+        "gaitsweep_schema": np.int32(SCHEMA),
+        "study": study.name,
+        "kind": study.kind,
+        "not_attempted": np.int64(writer.written.counts["not_attempted"]),
+        "figures": " ".join(study.figures),
+        "provenance": provenance(plan),
+    }
+    notes = corners.notes(study)
+    if notes:
+        about["walker_notes"] = "\n".join(notes)
+    attributes.put(file, about)
+
     for name, size in writer.grid.sizes.items():
         file.createDimension(name, size)
         if name == "walker":
-            write_strings(
-                file, name, name, study.names, {"long_name": "walker", "units": "1"}
-            )
-            known = ["SI" if c["si"] else "1" for c in study.checks]
-            about = {
-                "long_name": "units of each walker: SI, or 1 for any consistent ones",
-                "units": "1",
-            }
-            write_strings(file, "walker_units", name, known, about)
-            continue
-        axis = next(a for a in study.axes if a.name == name)
-        about = attributes.of_axis(name, study.checks)
-        write_variable(
-            file, name, (name,), axis.values.astype(float), about, fletcher32=True
-        )
+            _write_walkers(file, study)
+        else:
+            _write_axis(file, study, name)
     parameters.write(file, study)
-    file.createDimension("reason_index", len(writer.sentences.texts))
-    write_strings(
-        file,
-        "reason_text",
-        "reason_index",
-        writer.sentences.texts,
-        attributes.REASON_TEXT,
-    )
+
+    texts = writer.sentences.texts
+    file.createDimension("reason_index", len(texts))
+    write_strings(file, "reason_text", "reason_index", texts, attributes.REASON_TEXT)
+
+
+def _write_walkers(file: Any, study: Study) -> None:
+    """Write the names of the walkers of a study, and their units."""
+    about = {"long_name": "walker", "units": "1"}
+    write_strings(file, "walker", "walker", study.names, about)
+    units = ["SI" if check["si"] else "1" for check in study.checks]
+    about = {
+        "long_name": "units of each walker: SI, or 1 for any consistent ones",
+        "units": "1",
+    }
+    write_strings(file, "walker_units", "walker", units, about)
+
+
+def _write_axis(file: Any, study: Study, name: str) -> None:
+    """Write the values of an axis of numbers."""
+    (axis,) = (axis for axis in study.axes if axis.name == name)
+    about = attributes.of_axis(name, study.checks)
+    values = axis.values.astype(float)
+    write_variable(file, name, (name,), values, about, fletcher32=True)
 
 
 def _write_checksums(file: Any, writer: "PointWriter | _LineWriter") -> dict[str, str]:
@@ -270,13 +271,12 @@ def _write_checksums(file: Any, writer: "PointWriter | _LineWriter") -> dict[str
     checksums = {
         name: layout.checksum(np.ma.getdata(variable[...])) for name, variable in small
     }
-    chunk = (
-        {"checksum_chunk": np.array(writer.chunk, np.int64)}
-        if isinstance(writer, PointWriter)
-        else {}
-    )
+    about: dict[str, Any] = {}
+    if isinstance(writer, PointWriter):
+        about["checksum_chunk"] = np.array(writer.chunk, np.int64)
     modulo = {name: n % 2**32 for name, n in {**checksums, **sums}.items()}
-    attributes.put(file, {**chunk, "checksums": json.dumps(modulo, sort_keys=True)})
+    about["checksums"] = json.dumps(modulo, sort_keys=True)
+    attributes.put(file, about)
     return {
         name: value
         for name, value in _attributes(file).items()
@@ -288,43 +288,51 @@ class _LineWriter:
     """Writes the main group of a study of another kind: the outcome of each line."""
 
     def __init__(self, plan: Plan):
-        self.plan, self.study, self.grid = plan, plan.study, plan.graph.grid
-        self.dims, self.sums = tuple(self.grid.sizes), Counter[str]()
-        ends: list[tuple[str, str]] = [("", "")] * plan.study.lines
-        for i in range(plan.study.batches):
-            end = self._outcome(plan.graph.line_keys(i))
-            for number in plan.study.batch(i).tolist():
-                ends[number] = end
-        self.sentences = Sentences(
-            {sentence_number(reason): reason for _, reason in ends}
-        )
+        self.plan = plan
+        self.study = plan.study
+        self.grid = plan.graph.grid
+        self.dims = tuple(self.grid.sizes)
+        self.sums = Counter[str]()
+
+        ends = self._outcomes()
         shape = tuple(self.grid.sizes.values())
-        self.status = np.array(
-            [ALL_STATUSES[status] for status, _ in ends], np.int8
-        ).reshape(shape)
-        numbers = np.array([sentence_number(reason) for _, reason in ends], np.uint64)
-        self.reason = self.sentences.renumbered(numbers).reshape(shape)
+        codes = [ALL_STATUSES[status] for status, _ in ends]
+        self.status = np.array(codes, np.int8).reshape(shape)
+
+        numbers = [sentence_number(reason) for _, reason in ends]
+        reasons = [reason for _, reason in ends]
+        self.sentences = Sentences(dict(zip(numbers, reasons, strict=True)))
+        renumbered = self.sentences.renumbered(np.array(numbers, np.uint64))
+        self.reason = renumbered.reshape(shape)
+
         self.written = Written(Counter(status for status, _ in ends))
-        for i, (status, reason) in enumerate(ends):
-            if ALL_STATUSES[status] not in ANSWERS:
+        for i, (code, reason) in enumerate(zip(codes, reasons, strict=True)):
+            if code not in ANSWERS:
                 self.written.add_failure(reason, 1, line_description(plan.study, i))
+
+    def _outcomes(self) -> list[tuple[str, str]]:
+        """How every line ended, and why."""
+        ends = [("", "")] * self.study.lines
+        for i in range(self.study.batches):
+            end = self._outcome(self.plan.graph.line_keys(i))
+            for number in self.study.batch(i).tolist():
+                ends[number] = end
+        return ends
 
     def _outcome(self, keys: dict[str, str]) -> tuple[str, str]:
         # Of a study whose own result is known, the atlas may be lost, or never have
         # been needed.
         is_known = keys[self.study.kind] in self.plan.store
         for name in (self.study.kind,) if is_known else ("atlas", self.study.kind):
-            outcome = (
-                self.plan.store.outcome(keys[name])
-                if name in keys
-                else Outcome("ok", "")
-            )
+            if name not in keys:
+                continue
+            outcome = self.plan.store.outcome(keys[name])
             if outcome is None:
                 return "not_attempted", NOT_ATTEMPTED
             if outcome.status != "ok":
-                return outcome.status, of_atlas(
-                    outcome.reason
-                ) if name == "atlas" else outcome.reason
+                is_atlas = name == "atlas"
+                reason = of_atlas(outcome.reason) if is_atlas else outcome.reason
+                return outcome.status, reason
         result = self.plan.store.result(keys[self.study.kind])
         with self.plan.store.reading():
             for reason in (result or {}).get("nothing/reason", ()):

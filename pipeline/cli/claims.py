@@ -62,11 +62,10 @@ def _results(ids: Iterable[str]) -> Iterator[dict[str, Any]]:
             terminal.say(
                 f"Claims are read from {path}; `run --fresh` of its study computes them again."
             )
-        yield (
-            tables[path][name]
-            if path and name in tables[path]
-            else ask("claims", {"ids": [name]})[0]
-        )
+        if path and name in tables[path]:
+            yield tables[path][name]
+        else:
+            yield ask("claims", {"ids": [name]})[0]
 
 
 def _claims_of(path: Path) -> list[str]:
@@ -97,9 +96,10 @@ def _table(path: Path) -> dict[str, dict[str, Any]]:
     except ArchiveError as error:
         terminal.say(f"gaitsweep: {error}")
         return {}
-    return {
-        row["id"]: {k: None if v != v else v for k, v in row.items()} for row in rows
-    }
+    claims = {}
+    for row in rows:
+        claims[row["id"]] = {k: None if v != v else v for k, v in row.items()}
+    return claims
 
 
 def _lines(claim: dict[str, Any]) -> Iterator[str]:
@@ -110,15 +110,13 @@ def _lines(claim: dict[str, Any]) -> Iterator[str]:
     yield f'  the paper   "{claim["quotation"]}" ({claim["source"]})'
     if claim["printed_value"] is not None:
         half = claim["printed_half_unit"]
-        yield f"  printed     {claim['printed_value']:.6g}" + (
-            f" +- {half:.2g}" if half else ""
-        )
+        margin = f" +- {half:.2g}" if half else ""
+        yield f"  printed     {claim['printed_value']:.6g}{margin}"
     if claim["value"] is not None:
-        allowed = (
-            f" (rounding of the printed parameters allows {claim['interval']})"
-            if claim["interval"]
-            else ""
-        )
+        allowed = ""
+        if claim["interval"]:
+            interval = claim["interval"]
+            allowed = f" (rounding of the printed parameters allows {interval})"
         yield f"  computed    {claim['value']:.6g}{allowed}"
         yield f"              {claim['computed']}"
     else:

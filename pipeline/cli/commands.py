@@ -118,15 +118,10 @@ def _resolved(options: dict[str, Any]) -> dict[str, Any]:
         for key, value in options.items()
         if key in ("type", "action")
     }
-    return (
-        options
-        | named
-        | (
-            {"metavar": tuple(m)}
-            if isinstance(m := options.get("metavar"), list)
-            else {}
-        )
-    )
+    keywords = options | named
+    if isinstance(keywords.get("metavar"), list):
+        keywords["metavar"] = tuple(keywords["metavar"])
+    return keywords
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -93,10 +93,9 @@ def setting(text: str) -> tuple[str, float | bool | str]:
         raise ArgumentTypeError(
             f"`{key}` must be one number, that of both legs; got {value}"
         )
-    return key, {"true": True, "false": False}[value] if value in (
-        "true",
-        "false",
-    ) else number(value, key)
+    if value in ("true", "false"):
+        return key, value == "true"
+    return key, number(value, key)
 
 
 def column(text: str) -> tuple[str, str]:

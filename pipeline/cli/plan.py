@@ -2,6 +2,7 @@
 
 import argparse
 import math
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from gaitsweep.pipeline.cli import kinds, studies
 from gaitsweep.pipeline.cli.errors import gravest, say
 from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.errors import GaitsweepError
+from gaitsweep.pipeline.graph.layers import Layer
 from gaitsweep.pipeline.graph.plan import Plan, Summary, summary
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.choose_method import seconds_over_plane
@@ -53,35 +55,52 @@ def run(options: argparse.Namespace) -> int:
 def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
     """Describe a plan: for each task what runs and why, and what is cached."""
     study = planned.study
-    walkers = [f"{len(study.walkers)} walkers"] if study.walker_axis else []
-    axes, total = study.axes, counted(study.points, "point")
-    if study.kind in ("design", "cascade", "curve"):  # whose slopes are a window
-        axes, total = (
-            study.line_axes,
-            counted(study.lines, "design" if study.kind == "design" else "line"),
-        )
-    shape = [*walkers, *(f"{len(a)} {a.name}" for a in axes)]
-    yield f"{study.name}: {' x '.join(shape)}{', ' if shape else ''}{total} -> {path}"
+    yield f"{study.name}: {_extent(study)} -> {path}"
     for name, layer in planned.graph.layers.items():
-        what = "point" if name == "points" else "line" if layer.per_line else "study"
-        parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
-        parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
-        yield f"  {name:<12} per {what}: {', '.join(parts) or 'none'}"
+        yield f"  {name:<12} {_layer(name, layer, counts)}"
+
     by_charts, by_lines = seconds_over_plane(study)
     if study.plane and by_lines < math.inf:
         keys = " and ".join(study.plane.region["keys"])
         chosen = "charts" if by_charts < by_lines else "lines one by one"
-        yield f"  method: {chosen}; by charts over {keys} {duration(by_charts)}, line by line {duration(by_lines)}"
-    every = sum(counts.todo["points"].values()) if "points" in counts.todo else 0
-    if (integrated := costs.integrated(study, every, planned.graph.method)) < every:
-        yield f"  integrated: about {integrated:,} points to an accuracy of {study.accuracy:g}, all others not"
-    sentences = [*corners.notes(study), *_idle(study)]
-    yield from (f"  note: {sentence}" for sentence in sentences)
-    yield (
-        f"  about {duration(counts.seconds)} of work for one core"
-        if counts.seconds
-        else "  nothing to do"
-    )
+        charts = f"by charts over {keys} {duration(by_charts)}"
+        yield f"  method: {chosen}; {charts}, line by line {duration(by_lines)}"
+
+    points = counts.todo.get("points", Counter()).total()
+    integrated = costs.integrated(study, points, planned.graph.method)
+    if integrated < points:
+        wanted = f"to an accuracy of {study.accuracy:g}"
+        yield f"  integrated: about {integrated:,} points {wanted}, all others not"
+
+    for sentence in [*corners.notes(study), *_idle(study)]:
+        yield f"  note: {sentence}"
+    if counts.seconds:
+        yield f"  about {duration(counts.seconds)} of work for one core"
+    else:
+        yield "  nothing to do"
+
+
+def _extent(study: Study) -> str:
+    """The axes of a study, and how many points or lines it has."""
+    axes, total = study.axes, counted(study.points, "point")
+    if study.kind in ("design", "cascade", "curve"):  # whose slopes are a window
+        noun = "design" if study.kind == "design" else "line"
+        axes, total = study.line_axes, counted(study.lines, noun)
+
+    sides = [f"{len(axis)} {axis.name}" for axis in axes]
+    if study.walker_axis:
+        sides.insert(0, f"{len(study.walkers)} walkers")
+    return ", ".join([" x ".join(sides), total]) if sides else total
+
+
+def _layer(name: str, layer: Layer, counts: Summary) -> str:
+    """A task, what there is one of, and how many of these run and why or are cached."""
+    whole = "line" if layer.per_line else "study"
+    what = "point" if name == "points" else whole
+    parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
+    if counts.cached[name]:
+        parts.append(f"{counts.cached[name]:,} cached")
+    return f"per {what}: {', '.join(parts) or 'none'}"
 
 
 def _idle(study: Study) -> Iterator[str]:
@@ -117,9 +136,12 @@ def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
     """
     study = planned.study
     main = "points" if study.kind == "grid" else study.kind
-    new, every = counts.todo[main]["new"], sum(counts.todo[main].values())
+    new, every = counts.todo[main]["new"], counts.todo[main].total()
+    flown = 0
+    if main == "points":
+        flown = costs.integrated(study, every, planned.graph.method)
     tasks = {
-        name: {**dict(todo), "cached": counts.cached[name]}
+        name: {**todo, "cached": counts.cached[name]}
         for name, todo in counts.todo.items()
     }
     return {
@@ -130,9 +152,7 @@ def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
         "changed": every - new,
         "cached": counts.cached[main],
         "not_wanted": _omitted(planned),
-        "flown": costs.integrated(study, every, planned.graph.method)
-        if main == "points"
-        else 0,
+        "flown": flown,
         "seconds": counts.seconds,
         "tasks": tasks,
     }
@@ -141,24 +161,19 @@ def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
 def _omitted(planned: Plan) -> list[str]:
     """What the study does not want: whole groups, other variables, and tasks."""
     graph = planned.graph
-    names = [
-        name
-        for name in TASKS
-        if name in (*FITS, "trace", "claims") and name not in graph.layers
-    ]
+    others = (*FITS, "trace", "claims")
+    tasks = [name for name in TASKS if name in others and name not in graph.layers]
     if planned.study.kind != "grid":
-        return names
-    groups = {v.group for v in VARIABLES.values()}
-    groups -= {VARIABLES[v].group for v in graph.variables}
+        return tasks
+
     features = planned.study.features
-    left = [
-        v
-        for v in VARIABLES.values()
-        if v.name not in graph.variables
-        and v.group not in (OF_TARGETS, SENSITIVITIES)
-        and not v.is_left_out(features)
-    ]
-    return (
-        list(dict.fromkeys(v.group if v.group in groups else v.name for v in left))
-        + names
-    )
+    elsewhere = (OF_TARGETS, SENSITIVITIES)
+    wanted = {VARIABLES[name].group for name in graph.variables}
+    names = []
+    for variable in VARIABLES.values():
+        if variable.name in graph.variables or variable.group in elsewhere:
+            continue
+        if not variable.is_left_out(features):
+            is_partly = variable.group in wanted
+            names.append(variable.name if is_partly else variable.group)
+    return [*dict.fromkeys(names), *tasks]

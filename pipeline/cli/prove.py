@@ -34,46 +34,52 @@ _VALUES = (
 _NEEDED = ("stance_angle", "stance_rate", "thigh_rate", "period", "error_bound")
 #: Events of a step in words; strikes are called so.
 _EVENTS = {"legs_pass": "the legs pass", "knee_flexes": "the knee flexes"}
+#: Whether a gait was proved to be stable, in words.
+_STABILITY = {True: "stable", False: "unstable", None: "stability not shown"}
 #: Seed of the draw that `--sample` makes.
 _DRAW = 0
 
 
 def run(options: argparse.Namespace) -> int:
     """Prove what the options request and print it; returns the exit code."""
-    if (options.archive is None) == (options.walker is None) or (
-        options.walker is None
-    ) != (options.slope is None):
-        raise StudyError(
-            "Prove either the gaits of an archive, or those of a `--walker` on a `--slope`."
-        )
-    for name in ("set", "gait") if options.archive else ("sample",):
-        if getattr(options, name):
-            raise StudyError(
-                f"`--{name}` goes with {'a `--walker`' if options.archive else 'an archive'}."
-            )
-    want.need_proofs(Location("", "proofs"))
-    if not _LEAST <= options.accuracy <= _MOST:
-        raise Location("", "accuracy").wrong(
-            f"must lie in [{_LEAST:g}, {_MOST:g}]", options.accuracy
-        )
-    answer: dict[str, Any] = (
-        _of_archive(options) if options.archive else _of_walker(options)
-    )
+    _check(options)
+    if options.archive:
+        answer = _of_archive(options)
+    else:
+        answer = _of_walker(options)
+
     gaits = []
     for gait in answer["gaits"]:
         gaits.append(gait)
         if not options.json:
             print(_shown(gait), flush=True)
     if not gaits:
-        print(
-            answer["others"]
-            or "\n".join(answer["search"])
-            or "The archive holds no gait.",
-            file=sys.stderr,
-        )
+        search = "\n".join(answer["search"])
+        why = answer["others"] or search or "The archive holds no gait."
+        print(why, file=sys.stderr)
     if options.json:
         print(json.dumps(gaits))
     return 0 if gaits and all(gait["proved"] for gait in gaits) else 1
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse options that contradict each other, and an accuracy beyond its limits."""
+    of_archive, of_walker = options.archive is not None, options.walker is not None
+    if of_archive == of_walker or of_walker != (options.slope is not None):
+        raise StudyError(
+            "Prove either the gaits of an archive, or those of a `--walker` on a `--slope`."
+        )
+    foreign, whose = ["sample"], "an archive"
+    if of_archive:
+        foreign, whose = ["set", "gait"], "a `--walker`"
+    for name in foreign:
+        if getattr(options, name):
+            raise StudyError(f"`--{name}` goes with {whose}.")
+
+    want.need_proofs(Location("", "proofs"))
+    if not _LEAST <= options.accuracy <= _MOST:
+        bounds = f"must lie in [{_LEAST:g}, {_MOST:g}]"
+        raise Location("", "accuracy").wrong(bounds, options.accuracy)
 
 
 def _of_walker(options: argparse.Namespace) -> dict[str, Any]:
@@ -109,19 +115,13 @@ def _of_archive(options: argparse.Namespace) -> dict[str, Any]:
     from joblib import Parallel, delayed
 
     read.probe([options.archive])
-    wanted = [
-        {**gait, "accuracy": options.accuracy}
-        for gait in _stored(options.archive, options.sample)
-    ]
-    parallel = Parallel(
-        n_jobs=min(options.jobs, max(1, len(wanted))),
-        return_as="generator",
-        batch_size=1,
-    )
+    stored = _stored(options.archive, options.sample)
+    wanted = [{**gait, "accuracy": options.accuracy} for gait in stored]
+    jobs = min(options.jobs, max(1, len(wanted)))
+    parallel = Parallel(n_jobs=jobs, return_as="generator", batch_size=1)
     proofs = parallel(delayed(ask)("prove_stored", gait) for gait in wanted)
-    found = (
-        {"at": gait["at"], **proof} for gait, proof in zip(wanted, proofs, strict=True)
-    )
+    pairs = zip(wanted, proofs, strict=True)
+    found = ({"at": gait["at"], **proof} for gait, proof in pairs)
     return {"gaits": found, "search": (), "others": ""}
 
 
@@ -129,13 +129,13 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
     """Every converged gait of an archive as the parameters of its proof."""
     with read.open_archive(path) as file:
         _check_gaits(file, path)
-        dims = file["status"].dimensions
         walkers, varied = _walkers(file, path)
         names = [name for name in _VALUES if name in file.variables]
         if "kneestrike_time" not in names and all(map(_has_knees, walkers)):
             raise ArchiveError(
                 f"{path} holds no gaits to prove: with knees it needs kneestrike_time, which it has not."
             )
+        dims = file["status"].dimensions
         coordinates = {dim: file[dim][...].tolist() for dim in dims}
         if not np.isfinite(np.array(coordinates["slope"], float)).all():
             raise ArchiveError(f"{path} has a slope that is no number.")
@@ -143,20 +143,30 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
         for index in _places(np.ma.getdata(file["status"][...]), sample):
             place = dict(zip(dims, index, strict=True))
             at = {dim: coordinates[dim][i] for dim, i in place.items()}
-            # What an axis such as `detuning` moves is stored key by key.
-            moved = {}
-            for key, values in varied.items():
-                on_its_axes = tuple(place[dim] for dim in values.dimensions)
-                moved[key] = float(values[on_its_axes])
-            numbers = {n: float(np.ma.filled(file[n][index], np.nan)) for n in names}
             yield {
                 "at": at,
                 "walker": walkers[place.get("walker", 0)],
-                "set": moved,
+                "set": _moved(varied, place),
                 "slope": at["slope"],
                 "gait": at["gait"],
-                "values": numbers,
+                "values": _numbers(file, names, index),
             }
+
+
+def _moved(varied: Mapping[str, Any], place: Mapping[str, int]) -> dict[str, float]:
+    """Keys that vary, at a place of the grid: what an axis such as `detuning` moves is
+    stored key by key.
+    """
+    moved = {}
+    for key, values in varied.items():
+        on_its_axes = tuple(place[dim] for dim in values.dimensions)
+        moved[key] = float(values[on_its_axes])
+    return moved
+
+
+def _numbers(file: Any, names: list[str], index: tuple[int, ...]) -> dict[str, float]:
+    """Values of some variables at a place of the grid, NaN where there is none."""
+    return {name: float(np.ma.filled(file[name][index], np.nan)) for name in names}
 
 
 def _check_gaits(file: Any, path: Path) -> None:
@@ -218,22 +228,13 @@ def _places(status: np.ndarray, sample: int | None) -> list[tuple[int, ...]]:
 
 def _shown(proof: Mapping[str, Any]) -> str:
     """One proof in words, on one line."""
-    at = {
-        k: v
-        for k, v in proof.get("at", {"slope": proof["exact_slope"]}).items()
-        if k != "gait"
-    }
-    head = ", ".join(
-        [
-            f"{proof['gait'].capitalize()} gait",
-            *(f"{key} {value}" for key, value in at.items()),
-        ]
-    )
+    at = proof.get("at", {"slope": proof["exact_slope"]})
+    places = [f"{key} {value}" for key, value in at.items() if key != "gait"]
+    head = ", ".join([f"{proof['gait'].capitalize()} gait", *places])
     if not proof["proved"]:
         return f"{head}: not proved. {proof['reason']}"
-    stable = {True: "stable", False: "unstable", None: "stability not shown"}[
-        proof["stable"]
-    ]
+
+    stable = _STABILITY[proof["stable"]]
     middle, radius = proof["box"]["stance_angle"]
     events = ", then ".join(_EVENTS.get(event, event) for event in proof["events"])
     return (

@@ -38,29 +38,20 @@ def _after(
     """Closing lines of a run: outcomes of its studies, unfinished ones, and how to see
     the results.
     """
-    archives, counts = (
-        [end.path for end in ends],
-        sum((end.counts for end in ends), Counter[str]()),
-    )
-    if len(archives) + len(unfinished) > 1:
-        count = (
-            f"{len(archives)} of {len(archives) + len(unfinished)}"
-            if unfinished
-            else f"{len(archives)}"
-        )
-        parts = [", ".join(f"{k} {n:,}" for k, n in counts.items())] if counts else []
+    archives = [end.path for end in ends]
+    counts = sum((end.counts for end in ends), Counter[str]())
+    studies = len(archives) + len(unfinished)
+    if studies > 1:
+        count = f"{len(archives)}"
+        parts = []
+        if counts:
+            parts.append(", ".join(f"{k} {n:,}" for k, n in counts.items()))
         if unfinished:
+            count = f"{count} of {studies}"
             parts.append(f"not run to the end: {', '.join(map(str, unfinished))}")
         yield f"{count} studies in {terminal.duration(seconds)}: {'; '.join(parts)}"
     if archives:
-        folder = (
-            archives[0].parent / "*.nc"
-            if len(archives) > 1 and len({p.parent for p in archives}) == 1
-            else None
-        )
-        shown = (
-            str(folder)
-            if folder
-            else " ".join(shlex.quote(str(path)) for path in archives)
-        )
+        shown = " ".join(shlex.quote(str(path)) for path in archives)
+        if len(archives) > 1 and len({path.parent for path in archives}) == 1:
+            shown = str(archives[0].parent / "*.nc")
         yield f"To see it: gaitsweep report {shown}  (makes {Path('reports', 'index.html')})"

@@ -3,7 +3,7 @@
 import argparse
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from gaitsweep.pipeline import terminal
@@ -50,20 +50,21 @@ def run(options: argparse.Namespace) -> int:
     if options.degrees and answer.get("search"):
         terminal.say("Slopes in the lines above are in rad.")
     if options.json:
-        # JSON has no infinite numbers; `float` reads the word.
-        gaits = [
-            {k: "inf" if v == math.inf else v for k, v in gait.items()}
-            for gait in answer["gaits"]
-        ]
+        gaits = [_for_json(gait) for gait in answer["gaits"]]
         print(json.dumps(gaits, allow_nan=False))
     else:
-        print(
-            "\n".join(
-                [*_lines(answer["gaits"], answer["units"], options), *answer["absent"]]
-            )
-            or "no gait"
-        )
+        lines = _lines(answer["gaits"], answer["units"], options)
+        print("\n".join([*lines, *answer["absent"]]) or "no gait")
     return int(any(gait["status"] != "converged" for gait in answer["gaits"]))
+
+
+def _for_json(gait: Mapping[str, Any]) -> dict[str, Any]:
+    """A gait without infinite numbers, which JSON has not; `float` reads the word."""
+    shown = dict(gait)
+    for name, value in gait.items():
+        if value == math.inf:
+            shown[name] = "inf"
+    return shown
 
 
 def _slope(options: argparse.Namespace) -> float | None:
@@ -146,9 +147,7 @@ def _is_angular(key: str) -> bool:
 
 def _multiplier(real: float, imaginary: float, digits: int) -> str:
     """A number, real if no digit that is shown says otherwise."""
-    is_real = abs(imaginary) < 10.0**-digits * abs(real) or not imaginary
-    return (
-        f"{real:.{digits}g}"
-        if is_real
-        else f"{real:.{digits}g}{imaginary:+.{digits}g}j"
-    )
+    shown = f"{real:.{digits}g}"
+    if abs(imaginary) < 10.0**-digits * abs(real) or not imaginary:
+        return shown
+    return f"{shown}{imaginary:+.{digits}g}j"

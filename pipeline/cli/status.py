@@ -68,15 +68,11 @@ def _described(path: Path, run_state: dict[str, Any]) -> Iterator[str]:
     condition = "finished" if run_state.get("over") else "stopped"
     if run_state["running"]:
         holder = run_state.get("holder", {})
-        condition = (
-            f"running as process {holder['pid']} on {holder['host']}"
-            if holder
-            else "running"
-        )
-    elapsed, done = (
-        duration(run_state["elapsed"]),
-        run_state["cached"] + run_state["done"],
-    )
+        condition = "running"
+        if holder:
+            condition += f" as process {holder['pid']} on {holder['host']}"
+    elapsed = duration(run_state["elapsed"])
+    done = run_state["cached"] + run_state["done"]
     if condition == "finished":
         points = f"{counted(done, 'point')} in " if done else "in "
         yield f"{path}: finished: {points}{elapsed}"

@@ -16,17 +16,12 @@ _ROUNDING = 1e-15
 def run(options: argparse.Namespace) -> int:
     """Print the walkers."""
     table = files.walker(options.name, Path()) if options.name else None
-    walkers = ask(
-        "walkers", {"walker": table} if isinstance(table, dict) else {"name": table}
-    )["walkers"]
-    more = (
-        []
-        if options.name
-        else [f"{name:<21} {where}" for name, where in files.more_walkers()]
-    )
-    kinds.show(
-        options, walkers, [*_lines(walkers, in_full=options.name is not None), *more]
-    )
+    asked = {"walker": table} if isinstance(table, dict) else {"name": table}
+    walkers = ask("walkers", asked)["walkers"]
+    lines = [*_lines(walkers, in_full=options.name is not None)]
+    if not options.name:
+        lines += [f"{name:<21} {where}" for name, where in files.more_walkers()]
+    kinds.show(options, walkers, lines)
     return 0
 
 

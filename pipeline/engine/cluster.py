@@ -77,10 +77,7 @@ def connect(address: str, check: Callable[[], None] = _never) -> Iterator[Any]:
         raise StudyError(
             '`--cluster` needs the extra "cluster": pip install "gaitsweep[cluster]".'
         ) from error
-    # Their messages are replaced by one line of this package.
-    for name in list(logging.root.manager.loggerDict):
-        if name.startswith(("distributed", "tornado", "asyncio")):
-            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    _silence_loggers()
     if address.startswith(("tls:", "wss:")) and not _has_certificates():
         # Without them a client hangs on closing.
         raise StudyError(
@@ -88,15 +85,11 @@ def connect(address: str, check: Callable[[], None] = _never) -> Iterator[Any]:
         )
 
     with contextlib.ExitStack() as stack:
-        hook = sys.unraisablehook
-        stack.callback(setattr, sys, "unraisablehook", hook)
-        sys.unraisablehook = lambda error: (
-            None if _is_of_distributed(error.object) else hook(error)
-        )
+        stack.enter_context(_silent_hook())
         try:
-            place = (
-                stack.enter_context(_in_process(int(local[1]))) if local else address
-            )
+            place: Any = address
+            if local:
+                place = stack.enter_context(_in_process(int(local[1])))
             options: dict[str, Any] = {"timeout": _TIMEOUT, "set_as_default": False}
             client: Any = _patiently(
                 lambda: distributed.Client(place, **options), check
@@ -104,16 +97,40 @@ def connect(address: str, check: Callable[[], None] = _never) -> Iterator[Any]:
             stack.callback(client.close, _CLOSING)
             _patiently(lambda: client.wait_for_workers(1, timeout=_TIMEOUT), check)
         except (OSError, TimeoutError, RuntimeError) as error:
-            if limit := reached_limit(error):
-                raise unwritten(Path(), limit) from error
-            if local:
-                raise WorkerError(
-                    f"The workers of {address} cannot be started: {described(error)}."
-                ) from error
-            raise WorkerError(
-                f"No cluster with a worker answers at {address}."
-            ) from error
+            raise _no_cluster(address, bool(local), error) from error
         yield client
+
+
+def _silence_loggers() -> None:
+    """Silence dask's loggers: their messages are replaced by one line of this package."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.startswith(("distributed", "tornado", "asyncio")):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+
+
+@contextlib.contextmanager
+def _silent_hook() -> Iterator[None]:
+    """Say nothing of what dask's objects raise as they are collected."""
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda error: (
+        None if _is_of_distributed(error.object) else hook(error)
+    )
+    try:
+        yield
+    finally:
+        sys.unraisablehook = hook
+
+
+def _no_cluster(address: str, is_local: bool, error: Exception) -> Exception:
+    """What is said of a cluster that cannot be used."""
+    limit = reached_limit(error)
+    if limit:
+        return unwritten(Path(), limit)
+    if is_local:
+        return WorkerError(
+            f"The workers of {address} cannot be started: {described(error)}."
+        )
+    return WorkerError(f"No cluster with a worker answers at {address}.")
 
 
 @contextlib.contextmanager

@@ -136,11 +136,9 @@ def _fewer(lines: int, slopes: int) -> tuple[int, int]:
     """Lines and slopes of each smaller part of one that failed: the lines are divided,
     or the slopes of one.
     """
-    return (
-        (math.ceil(lines / _PIECES), slopes)
-        if lines > 1
-        else (1, math.ceil(slopes / _PIECES))
-    )
+    if lines > 1:
+        return math.ceil(lines / _PIECES), slopes
+    return 1, math.ceil(slopes / _PIECES)
 
 
 def _at_most(most: int, lines: int, slopes: int, has_atlases: bool) -> tuple[int, int]:

@@ -227,11 +227,10 @@ def sentence(state: dict[str, Any]) -> str:
         if name != "points"
     ]
     parts += [f"{name} {n:,}" for name, n in sorted(failed.items())]
-    parts.append(
-        "longer than planned"
-        if state.get("overdue")
-        else f"{terminal.duration(state['eta'])} to go"
-    )
+    if state.get("overdue"):
+        parts.append("longer than planned")
+    else:
+        parts.append(f"{terminal.duration(state['eta'])} to go")
     return ", ".join(parts)
 
 

@@ -21,6 +21,7 @@ from gaitsweep.pipeline.errors import described
 from gaitsweep.tasks.contract.registry import CLOCK
 
 if TYPE_CHECKING:  # a worker imports what its first request needs
+    from gaitsweep.pipeline.engine.request import Request
     from gaitsweep.pipeline.store.record import ChunkCodec
 
 _PR_SET_PDEATHSIG = 1
@@ -41,7 +42,7 @@ def serve(parent: int, number: int) -> None:
     from gaitsweep.pipeline import serialize
 
     warm: set[str] = set()
-    used, idle = (0.0, 0.0), None
+    clock, idle = _Clock(), None
     while connection.poll(idle):
         try:
             request = connection.recv()
@@ -54,32 +55,51 @@ def serve(parent: int, number: int) -> None:
         except Exception as error:
             connection.send(("broken", described(error)))
             continue
-        params, inputs = request.params, [serialize.load(i) for i in request.inputs]
-        line = repr(params.get("line"))
-        if "line" in params and request.codec and line not in warm:
-            # The time to load compiled code does not count for the first point.
-            _answer(function, {**params, "slope": params["slope"][:0]}, inputs)
-            warm.add(line)
+
+        inputs = [serialize.load(packed) for packed in request.inputs]
+        _warm_up(function, request, inputs, warm)
         try:
             memory = _pages(1)
         except OSError as error:
             connection.send(("broken", described(error)))
             continue
+
         connection.send(("started", memory))
-        outcome, result = _answer(function, params, inputs, request.codec)
-        before, used = used, (time.process_time(), _integrating())
-        connection.send(
-            (
-                outcome,
-                tuple(now - then for now, then in zip(used, before, strict=True)),
-                result,
-            )
-        )
+        outcome, result = _answer(function, request.params, inputs, request.codec)
+        connection.send((outcome, clock.lap(), result))
+
+
+def _warm_up(
+    function: Callable[..., Any], request: Request, inputs: list[Any], warm: set[str]
+) -> None:
+    """Load the compiled code of a chunk's line, unless it is among the warm ones: the
+    time for that does not count for the first point.
+    """
+    params = request.params
+    line = repr(params.get("line"))
+    if "line" in params and request.codec and line not in warm:
+        _answer(function, {**params, "slope": params["slope"][:0]}, inputs)
+        warm.add(line)
+
+
+class _Clock:
+    """Processor time of this process, and that in its compiled integrators [s]."""
+
+    def __init__(self) -> None:
+        self._total, self._compiled = 0.0, 0.0
+
+    def lap(self) -> tuple[float, float]:
+        """Both since they were last asked for."""
+        total, compiled = time.process_time(), _integrating()
+        spent = total - self._total, compiled - self._compiled
+        self._total, self._compiled = total, compiled
+        return spent
 
 
 def _integrating() -> float:
     """Processor time that this process has spent in compiled integrators [s]."""
-    return float(resolve(CLOCK)()) if CLOCK.partition(":")[0] in sys.modules else 0.0
+    module, _, _ = CLOCK.partition(":")
+    return float(resolve(CLOCK)()) if module in sys.modules else 0.0
 
 
 def _limit_memory(growth: int) -> None:
@@ -88,10 +108,9 @@ def _limit_memory(growth: int) -> None:
     """
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     limit = _pages(5) + growth + _SLACK
-    resource.setrlimit(
-        resource.RLIMIT_DATA,
-        (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard),
-    )
+    if hard != resource.RLIM_INFINITY:
+        limit = min(limit, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
 
 
 def _pages(field: int) -> int:

@@ -141,11 +141,10 @@ class Graph:
 
     def chunk_key(self, chunk: Chunk) -> str:
         """Key of a chunk: of its points, and of how they are packed."""
-        own = (
-            self._key_of_lines(chunk)
-            if self.method.is_of_lines
-            else self.line_keys(int(chunk.numbers[0]))["points"]
-        )
+        if self.method.is_of_lines:
+            own = self._key_of_lines(chunk)
+        else:
+            own = self.line_keys(int(chunk.numbers[0]))["points"]
         slopes = self._slopes_digest(chunk.slopes.start, chunk.slopes.stop)
         packed = f"{chunk.shape.order} {self.grid.multipliers}"
         return f"points-{digest(f'{own} {slopes} {packed}'.encode())}"

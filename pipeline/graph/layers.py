@@ -2,7 +2,7 @@
 parameters and keys.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,41 +61,51 @@ def layers(study: Study, method: Method) -> dict[str, Layer]:
         # Claims read the main results of the study, its points or the tables of its
         # task, and their atlas.
         own = "points" if study.kind == "grid" else study.kind
-        others = tuple(
-            dict.fromkeys(
-                name for claim in study.claims for name in READ_BY_CLAIMS.get(claim, ())
-            )
-        )
+        others = _read_by_claims(study)
         for name in others:
             add(name, True)
-        needed["claims"] = Layer(
-            TASKS["claims"], False, (own, *TASKS[own].needs, *others)
-        )
+        read = (own, *TASKS[own].needs, *others)
+        needed["claims"] = Layer(TASKS["claims"], False, read)
     return needed
 
 
+def _read_by_claims(study: Study) -> tuple[str, ...]:
+    """Tasks over each line that a study's claims read."""
+    names: dict[str, None] = {}
+    for claim in study.claims:
+        names |= dict.fromkeys(READ_BY_CLAIMS.get(claim, ()))
+    return tuple(names)
+
+
 def _over_lines(name: str) -> bool:
-    return (
-        not any(need == "points" or not _over_lines(need) for need in TASKS[name].needs)
-        or name == "points"
-    )
+    """Whether a task is over each line: the points are, and what reads neither these
+    nor a task over the study.
+    """
+    if name == "points":
+        return True
+    needs = TASKS[name].needs
+    return "points" not in needs and all(map(_over_lines, needs))
 
 
 def point_params(study: Study, method: Method) -> dict[str, Any]:
     """Parameters of points on which their values depend, besides their line and slopes."""
     given: dict[str, Any] = {}
     if study.accuracy:
-        given |= {
-            "accuracy": study.accuracy,
-            "interpolated": method is Method.INTERPOLATED,
-        }
-    if measures := {
-        name: VARIABLES[name].version
-        for name in variables(study)
-        if VARIABLES[name].measure
-    }:
-        given |= {"measures": measures}
+        given["accuracy"] = study.accuracy
+        given["interpolated"] = method is Method.INTERPOLATED
+    measures = _versions(variables(study))
+    if measures:
+        given["measures"] = measures
     return {**study.options, **given}
+
+
+def _versions(names: Iterable[str]) -> dict[str, Any]:
+    """Versions of those among some variables that are measures."""
+    measures = {}
+    for name in names:
+        if VARIABLES[name].measure:
+            measures[name] = VARIABLES[name].version
+    return measures
 
 
 def line_params(
@@ -109,13 +119,7 @@ def line_params(
     the slopes of a chunk.
     """
     if name == "atlas":
-        return {
-            "line": line if "drive" in study.features else _without_g(line),
-            "coarse": method.is_coarse,
-            # What drives walkers there, branches over slope do not tell.
-            **({"level": True} if (study.slope <= 0).all() else {}),
-            **({"steps": study.steps} if study.steps > 1 else {}),
-        }
+        return _atlas_params(study, method, line)
     if name == "points":
         return {"line": line, **point_params(study, method)}
     if name == "corners":
@@ -128,12 +132,27 @@ def line_params(
         return {"line": line, "slope": slopes, "gaits": GAITS}
     if name == "branch":
         return {"line": line, **_window(study), "n": len(study.slope), **study.options}
-    own = (
-        {} if name == "trace" else study.options
-    )  # whose `steps` may be those of orbits
-    params = {"line": line, "slope": study.slope, "gaits": study.gaits, **own}
+    params = {"line": line, "slope": study.slope, "gaits": study.gaits}
+    if name != "trace":  # `steps` may be those of orbits
+        params |= study.options
     if name == "design" and study.plane:
         params["plane"] = study.plane.region
+    return params
+
+
+def _atlas_params(
+    study: Study, method: Method, line: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Parameters of the atlas of a line."""
+    params: dict[str, Any] = {
+        "line": line if "drive" in study.features else _without_g(line),
+        "coarse": method.is_coarse,
+    }
+    if (study.slope <= 0).all():
+        # What drives walkers there, branches over slope do not tell.
+        params["level"] = True
+    if study.steps > 1:
+        params["steps"] = study.steps
     return params
 
 
@@ -142,11 +161,8 @@ def _charts_params(
 ) -> dict[str, Any]:
     """Parameters of charts over the plane of a line, or a box."""
     assert study.plane
-    fixed = {
-        key: value
-        for key, value in line["set"].items()
-        if key not in study.plane.region["keys"]
-    }
+    varied = study.plane.region["keys"]
+    fixed = {key: value for key, value in line["set"].items() if key not in varied}
     window = {**_window(study), "slopes": about(len(study.slope))}
     of_plane = {**line, "set": fixed}
     if not study.accuracy:
@@ -187,10 +203,6 @@ def study_params(study: Study, name: str) -> dict[str, Any]:
 def _measured_params(study: Study) -> dict[str, Any]:
     """Parameters of the gaits at the points of the user's measurements."""
     points = overlay.points(study)
-    measures = {
-        name: VARIABLES[name].version
-        for name in points["values"]
-        if VARIABLES[name].measure
-    }
+    measures = _versions(points["values"])
     labels = study.gaits if study.kind == "grid" else GAITS
     return {**points, "gaits": labels, "steps": study.steps, "measures": measures}

@@ -23,9 +23,8 @@ def box_shape(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
     tuple of int
     """
     extent: dict[str, int] = {}
-    for name in sorted(
-        sizes, key=lambda d: (d == "slope", list(sizes).index(d)), reverse=True
-    ):
+    last_first = [*sizes][::-1]
+    for name in sorted(last_first, key=lambda dim: dim != "slope"):
         extent[name] = min(sizes[name], max(1, points // math.prod(extent.values())))
     return tuple(extent[d] for d in sizes)
 
@@ -37,15 +36,11 @@ def boxes(
     `points` points if it can.
     """
     chunk = dict(zip(sizes, extent, strict=True))
-    counts = box_shape(
-        {d: -(-sizes[d] // c) for d, c in chunk.items()},
-        points // math.prod(chunk.values()),
-    )
-    steps = tuple(c * n for c, n in zip(chunk.values(), counts, strict=True))
-    for corner in itertools.product(
-        *(range(0, n, c) for n, c in zip(sizes.values(), steps, strict=True))
-    ):
-        yield tuple(
-            slice(i, min(i + c, n))
-            for i, c, n in zip(corner, steps, sizes.values(), strict=True)
-        )
+    chunks = {name: math.ceil(sizes[name] / size) for name, size in chunk.items()}
+    counts = box_shape(chunks, points // math.prod(chunk.values()))
+
+    sides = []
+    for (name, size), count in zip(chunk.items(), counts, strict=True):
+        n, step = sizes[name], size * count
+        sides.append([slice(i, min(i + step, n)) for i in range(0, n, step)])
+    yield from itertools.product(*sides)

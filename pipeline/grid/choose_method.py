@@ -41,9 +41,8 @@ def seconds_over_plane(study: Study) -> tuple[float, float]:
 
     def seconds(method: Method, *tasks: str) -> float:
         of_line = sum(costs.seconds(study, name, method) for name in tasks)
-        return study.lines * (
-            of_line + len(study.slope) * costs.of_point(study, method)
-        )
+        of_points = len(study.slope) * costs.of_point(study, method)
+        return study.lines * (of_line + of_points)
 
     return seconds(Method.PLANE, "charts", "atlas"), seconds(_by_lines(study), "atlas")
 

@@ -1,7 +1,8 @@
 """How long the points and tasks of a study take, before any of them is measured."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -82,22 +83,17 @@ def of_point(study: Study, method: Method) -> float:
     way = Method.SHORT if method in (Method.TASK, Method.ALONE) else method
     if method is Method.PLANE and is_interpolated(study):
         way = Method.INTERPOLATED
-    dear = {VARIABLES[name].group for name in variables(study)} & {
-        "violations",
-        "sensitivities",
-        "proofs",
-    }
-    return _total(study, [POINTS[group] for group in (way, *sorted(dear))])
+    groups = {VARIABLES[name].group for name in variables(study)}
+    dear = sorted(groups & {"violations", "sensitivities", "proofs"})
+    return _total(study, [POINTS[group] for group in (way, *dear)])
 
 
 def _of_line_alone(study: Study) -> float:
     """Processor time of a line of a plane that charts do not describe [s], with its
     points.
     """
-    return FEW * (
-        _total(study, COSTS["atlas side by side"])
-        + len(study.slope) * of_point(study, Method.SHORT)
-    )
+    of_atlas = _total(study, COSTS["atlas side by side"])
+    return FEW * (of_atlas + len(study.slope) * of_point(study, Method.SHORT))
 
 
 def _total(study: Study, costs: Iterable[Cost], name: str = "") -> float:
@@ -110,31 +106,37 @@ def _total(study: Study, costs: Iterable[Cost], name: str = "") -> float:
     is_foreign = name in OPTIONS and name != study.kind
     kind, given = (name, {}) if is_foreign else (study.kind, study.options)
     options = registry.options(kind, given) if kind in OPTIONS else {}
-    sizes = {
-        name: len(v) if isinstance(v, list | tuple) else v
-        for name, v in options.items()
-    }
-    # Gaits of 2 steps begin at flips; every further doubling, and an odd period, is
-    # searched for as well.
-    searches = sum(
-        study.steps % 2**k == 0 for k in range(6) if study.steps // 2**k > 2
-    ) + 0.2 * (study.steps > 1)
-    sizes |= {
+    sizes: dict[str, Any] = {
+        **options,
         "slopes": len(study.slope),
         "points": 1,
         "gait_steps": study.steps,
-        "searches": searches,
+        "searches": _searches(study.steps),
     }
-    kneed = sum(check["multipliers"] > 3 for check in study.checks) / max(
-        1, len(study.checks)
-    )
+    for option, value in options.items():
+        if isinstance(value, list | tuple):
+            sizes[option] = len(value)
 
-    def product(cost: Cost) -> float:
-        return math.prod(
-            sum(sizes[part] for part in factor.split("+")) for factor in cost.of
-        )
+    with_knees = sum(check["multipliers"] > 3 for check in study.checks)
+    kneed = with_knees / max(1, len(study.checks))
+    total = 0.0
+    for cost in costs:
+        each = cost.straight * (1 - kneed) + cost.kneed * kneed
+        total += each * _times(cost, sizes)
+    return total
 
-    return sum(
-        (cost.straight * (1 - kneed) + cost.kneed * kneed) * product(cost)
-        for cost in costs
-    )
+
+def _searches(steps: int) -> float:
+    """How often gaits of so many steps are searched for: those of 2 begin at flips;
+    every further doubling, and an odd period, is searched for as well.
+    """
+    doublings = [k for k in range(6) if steps // 2**k > 2 and steps % 2**k == 0]
+    return len(doublings) + 0.2 * (steps > 1)
+
+
+def _times(cost: Cost, sizes: Mapping[str, Any]) -> float:
+    """How often a cost is paid: the product of the sums of sizes that it names."""
+    factors = []
+    for factor in cost.of:
+        factors.append(sum(sizes[part] for part in factor.split("+")))
+    return math.prod(factors)

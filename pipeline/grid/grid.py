@@ -65,12 +65,11 @@ class Shape:
         """What decides where values lie in a packed chunk; dimensions of one value,
         such as a walker's, do not.
         """
-        dims = zip(self.sizes, self.extent, strict=True)
-        return [
-            (size, extent, k == self.slope)
-            for k, (size, extent) in enumerate(dims)
-            if extent > 1
-        ]
+        order = []
+        for k, extent in enumerate(self.extent):
+            if extent > 1:
+                order.append((self.sizes[k], extent, k == self.slope))
+        return order
 
     def unfold(self, rows: np.ndarray) -> np.ndarray:
         """Arrange points in the order of the grid.
@@ -85,7 +84,8 @@ class Shape:
         ndarray, shape (*sizes, ...)
         """
         own = [n for k, n in enumerate(self.sizes) if k != self.slope]
-        lines_first = rows.reshape(*own, self.sizes[self.slope], *rows.shape[1:])
+        slopes = self.sizes[self.slope]
+        lines_first = rows.reshape(*own, slopes, *rows.shape[1:])
         return np.moveaxis(lines_first, len(own), self.slope)
 
     def fold(self, values: np.ndarray) -> np.ndarray:
@@ -143,27 +143,34 @@ class Grid:
     """
 
     def __init__(self, study: Study, in_memory: bool = False):
-        self.study, self.method = study, method_of(study, in_memory)
-        walkers = [("walker", len(study.walkers))] if study.walker_axis else []
-        axes = [
-            axis
-            for axis in study.axes
-            if study.kind == "grid" or axis.name != study.along
-        ]
-        self.sizes = dict(walkers + [(axis.name, len(axis)) for axis in axes])
+        self.study = study
+        self.method = method_of(study, in_memory)
+        self.sizes: dict[str, int] = {}
+        if study.walker_axis:
+            self.sizes["walker"] = len(study.walkers)
+        for axis in study.axes:
+            if study.kind == "grid" or axis.name != study.along:
+                self.sizes[axis.name] = len(axis)
         self.line_dims = [name for name in self.sizes if name != study.along]
-        self.multipliers = max(
-            (check["multipliers"] for check in study.checks), default=3
-        )
-        extent = {} if self.method is Method.TASK else self._extent(in_memory)
-        self.extent = tuple(extent[name] for name in self.sizes if extent)
+
+        multipliers = [check["multipliers"] for check in study.checks]
+        self.multipliers = max(multipliers, default=3)
+        self.extent: tuple[int, ...] = ()
+        if self.method is not Method.TASK:
+            extent = self._extent(in_memory)
+            self.extent = tuple(extent[name] for name in self.sizes)
 
     @functools.cached_property
     def _counts(self) -> tuple[int, ...]:
-        return tuple(
-            -(-n // extent)
-            for n, extent in zip(self.sizes.values(), self.extent, strict=True)
-        )
+        """Number of chunks along each dimension."""
+        sizes = zip(self.sizes.values(), self.extent, strict=True)
+        return tuple(math.ceil(n / extent) for n, extent in sizes)
+
+    @property
+    def _place_of_slope(self) -> int:
+        """Number of the dimension along lines."""
+        names = list(self.sizes)
+        return names.index(self.study.along)
 
     @property
     def chunks(self) -> int:
@@ -173,45 +180,42 @@ class Grid:
     def chunk(self, number: int) -> Chunk:
         """The chunk of that number, in C order of the grid."""
         places = np.unravel_index(number, self._counts)
-        spans = {
-            name: slice(int(k) * extent, min((int(k) + 1) * extent, n))
-            for (name, n), k, extent in zip(
-                self.sizes.items(), places, self.extent, strict=True
-            )
-        }
-        of_lines = (
-            spans.get("walker", slice(0, 1)),
-            *(spans[axis.name] for axis in self.study.line_axes),
-        )
-        indices = np.ix_(*(np.arange(span.start, span.stop) for span in of_lines))
+        spans = {}
+        dims = zip(self.sizes.items(), places, self.extent, strict=True)
+        for (name, n), place, extent in dims:
+            start = int(place) * extent
+            spans[name] = slice(start, min(start + extent, n))
+
+        of_lines = [spans.get("walker", slice(0, 1))]
+        of_lines += [spans[axis.name] for axis in self.study.line_axes]
+        sides = [np.arange(span.start, span.stop) for span in of_lines]
+        indices = np.ix_(*sides)
         numbers = np.ravel_multi_index(indices, self.study.line_shape).ravel()
         sizes = tuple(span.stop - span.start for span in spans.values())
-        shape = Shape(sizes, self.extent, list(self.sizes).index(self.study.along))
+        shape = Shape(sizes, self.extent, self._place_of_slope)
         return Chunk(spans, numbers, spans[self.study.along], shape)
 
     def chunks_of_line(self, line: int) -> range:
         """Numbers of the chunks that hold the points of a line."""
-        slope = list(self.sizes).index(self.study.along)
-        indices = iter(
-            np.unravel_index(line, self.study.line_shape)[
-                0 if self.study.walker_axis else 1 :
-            ]
-        )
-        first = [
-            0 if k == slope else int(next(indices)) // extent
-            for k, extent in enumerate(self.extent)
-        ]
-        start, step = (
-            int(np.ravel_multi_index(first, self._counts)),
-            math.prod(self._counts[slope + 1 :]),
-        )
+        slope = self._place_of_slope
+        place = np.unravel_index(line, self.study.line_shape)
+        if not self.study.walker_axis:
+            place = place[1:]
+        first = [*map(int, place)]
+        first.insert(slope, 0)
+        pairs = zip(first, self.extent, strict=True)
+        first = [k // extent for k, extent in pairs]
+
+        start = int(np.ravel_multi_index(first, self._counts))
+        step = math.prod(self._counts[slope + 1 :])
         return range(start, start + self._counts[slope] * step, step)
 
     def _extent(self, in_memory: bool) -> dict[str, int]:
         """Size of a chunk along each dimension: many lines at all slopes, or a part of
         one.
         """
-        slopes, along = len(self.study.slope), self.study.along
+        slopes = len(self.study.slope)
+        along = self.study.along
         each = dict.fromkeys(self.line_dims, 1)
         if self.method is Method.PLANE and self.study.plane:
             fewest, most = (points // slopes for points in PLANE_POINTS)
@@ -220,21 +224,21 @@ class Grid:
             return {**each, **tile, along: slopes}
         if self.method.is_of_lines:
             own = {name: self.sizes[name] for name in self.line_dims}
-            return {
-                **dict(zip(own, box_shape(own, _LINES), strict=True)),
-                along: slopes,
-            }
+            shape = zip(own, box_shape(own, _LINES), strict=True)
+            return {**dict(shape), along: slopes}
         if in_memory:
             return {**each, along: slopes}
+        chunks = math.ceil(slopes / self._most_points())
+        return {**each, along: math.ceil(slopes / chunks)}
+
+    def _most_points(self) -> int:
+        """Most points of a chunk of one line: those of about `_SECONDS`."""
         seconds = min(_SECONDS, self.study.limits.seconds / _MAX_SHARE)
-        most = MOST_POINTS if self.study.slope.min() > _TINY else _MOST_TINY
-        points = min(
-            most, max(_FEWEST, int(seconds / costs.of_point(self.study, self.method)))
-        )
-        return {
-            **each,
-            along: math.ceil(slopes / math.ceil(slopes / points)),
-        }
+        in_time = int(seconds / costs.of_point(self.study, self.method))
+        most = MOST_POINTS
+        if not self.study.slope.min() > _TINY:
+            most = _MOST_TINY
+        return min(most, max(_FEWEST, in_time))
 
 
 def _tile(axes: tuple[Any, ...], lines: int) -> dict[str, int]:
@@ -245,16 +249,18 @@ def _tile(axes: tuple[Any, ...], lines: int) -> dict[str, int]:
     lines = max(1, lines)
     if not long:
         return {short.name: min(len(short), lines)}
-    side = len(short) if len(short) <= 2 * math.isqrt(lines) else math.isqrt(lines)
-    side = min(side, lines)
-    return {short.name: side, long[0].name: min(len(long[0]), lines // side)}
+    side = math.isqrt(lines)
+    if len(short) <= 2 * side:
+        side = min(len(short), lines)
+    across = min(len(long[0]), lines // side)
+    return {short.name: side, long[0].name: across}
 
 
 def golden_ratio_order(n: int) -> Iterator[int]:
     """Numbers from 0 to n - 1 in an order whose leading part, however long, samples
     them evenly: from the middle, since what costs most often lies at an end.
     """
-    step = next(
-        k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1
-    )
+    first = max(1, round(0.618 * n))
+    steps = range(first, 2 * n + 2)
+    step = next(k for k in steps if math.gcd(k, n) == 1)
     return ((n // 2 + i * step) % n for i in range(n))

@@ -46,8 +46,10 @@ def variables(study: Study) -> tuple[str, ...]:
     """Point variables to compute: those requested, and those that requested fits,
     figures and claims read.
     """
-    read = (name for reader in _readers(study) for name in READS.get(reader, ()))
-    return accuracy.computed({*study.variables, *read}, study.accuracy)
+    named = set(study.variables)
+    for reader in _readers(study):
+        named.update(READS.get(reader, ()))
+    return accuracy.computed(named, study.accuracy)
 
 
 def is_interpolated(study: Study) -> bool:
@@ -56,27 +58,22 @@ def is_interpolated(study: Study) -> bool:
     """
     if "drive" in study.features:
         return False
-    return len(study.slope) > SHORT_LINE and accuracy.is_interpolated(
-        variables(study), study.accuracy
-    )
+    if len(study.slope) <= SHORT_LINE:
+        return False
+    return accuracy.is_interpolated(variables(study), study.accuracy)
 
 
 def wants_points_alone(study: Study) -> bool:
     """Whether no atlas is read, and no proof wanted."""
-    reads = [read for name in _readers(study) for read in (name, *READS.get(name, ()))]
-    reads_atlas = any(
-        read in TASKS and read != "points" and "atlas" in TASKS[read].needs
-        for read in reads
-    )
-    return not reads_atlas and not any(
-        VARIABLES[name].group == "proofs" for name in study.variables
-    )
+    for reader in _readers(study):
+        for read in (reader, *READS.get(reader, ())):
+            if read in TASKS and read != "points" and "atlas" in TASKS[read].needs:
+                return False
+    groups = {VARIABLES[name].group for name in study.variables}
+    return "proofs" not in groups
 
 
 def _readers(study: Study) -> tuple[str, ...]:
-    return (
-        *study.fits,
-        *study.figures,
-        *study.claims,
-        *(("claims",) if study.claims else ()),
-    )
+    """What a study wants that may read tasks: fits, figures and claims."""
+    readers = (*study.fits, *study.figures, *study.claims)
+    return (*readers, "claims") if study.claims else readers

@@ -65,53 +65,68 @@ def connect(
     """Open a store, or make a new one; without a path, in memory. Its schema is
     checked.
     """
-    options: dict[str, Any] = {
-        "timeout": 10,
-        "isolation_level": None,
-        "check_same_thread": False,
-    }
-    may_write = not path or not path.exists() or os.access(path, os.W_OK)
-    if write and not may_write:
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-    if path and not write and not (may_write and os.access(path.parent, os.W_OK)):
-        # SQLite creates a shared lock file even to read; where it may not write the
-        # store, it leaves it in the way of who may; in a read-only folder only the
-        # files of a writer can be used.
-        is_written = path.with_name(path.name + "-wal").exists()
-        how = "mode=ro" if is_written else "immutable=1"
-        db = sqlite3.connect(f"file:{quote(str(path))}?{how}", uri=True, **options)
-    else:
-        db = sqlite3.connect(path or ":memory:", **options)
+    db = _opened(path, write)
     try:
-        settings = (
-            [f"page_size={_PAGE}", f"application_id={_APPLICATION_ID}"] if new else []
-        )
-        settings += ["journal_mode=WAL"] if write else []
-        for setting in (
-            *settings,
-            "trusted_schema=OFF",
-            "synchronous=NORMAL",
-            "cache_size=-8192",
-            "temp_store=MEMORY",
-        ):
-            db.execute(f"PRAGMA {setting}")
-        for statement in ("BEGIN IMMEDIATE", *_SCHEMA, "COMMIT") if new else ():
-            db.execute(statement)
-        if {
-            sql
-            for (sql,) in db.execute(
-                "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL"
-            )
-        } != set(_SCHEMA):
-            raise sqlite3.DatabaseError("malformed")
-        if write and db.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
-            raise sqlite3.DatabaseError("malformed")
+        _prepare(db, write, new)
+        _check(db, write)
     except BaseException:
         db.close()
         if new and path:  # half of a store is none
             _remove(path)
         raise
     return db
+
+
+def _opened(path: Path | None, write: bool) -> sqlite3.Connection:
+    """A connection to a file, or in memory."""
+    options: dict[str, Any] = {
+        "timeout": 10,
+        "isolation_level": None,
+        "check_same_thread": False,
+    }
+    if not path:
+        return sqlite3.connect(":memory:", **options)
+    may_write = not path.exists() or os.access(path, os.W_OK)
+    if write and not may_write:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+    if write or (may_write and os.access(path.parent, os.W_OK)):
+        return sqlite3.connect(path, **options)
+
+    # SQLite creates a shared lock file even to read; where it may not write the store,
+    # it leaves it in the way of who may; in a read-only folder only the files of a
+    # writer can be used.
+    is_written = path.with_name(path.name + "-wal").exists()
+    how = "mode=ro" if is_written else "immutable=1"
+    return sqlite3.connect(f"file:{quote(str(path))}?{how}", uri=True, **options)
+
+
+def _prepare(db: sqlite3.Connection, write: bool, new: bool) -> None:
+    """Set how a store is used, and make the tables of a new one."""
+    settings = []
+    if new:
+        settings += [f"page_size={_PAGE}", f"application_id={_APPLICATION_ID}"]
+    if write:
+        settings.append("journal_mode=WAL")
+    settings += [
+        "trusted_schema=OFF",
+        "synchronous=NORMAL",
+        "cache_size=-8192",
+        "temp_store=MEMORY",
+    ]
+    for setting in settings:
+        db.execute(f"PRAGMA {setting}")
+    if new:
+        for statement in ("BEGIN IMMEDIATE", *_SCHEMA, "COMMIT"):
+            db.execute(statement)
+
+
+def _check(db: sqlite3.Connection, write: bool) -> None:
+    """Refuse a store of another schema, and to write one whose pages are damaged."""
+    rows = db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")
+    if {sql for (sql,) in rows} != set(_SCHEMA):
+        raise sqlite3.DatabaseError("malformed")
+    if write and db.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
+        raise sqlite3.DatabaseError("malformed")
 
 
 def is_ours(path: Path) -> bool:
@@ -244,11 +259,9 @@ def raise_for(error: Exception, path: Path) -> NoReturn:
     is_of_system = isinstance(error, OSError) or (
         code & 0xFF in _OF_SYSTEM and code not in _READ_ERRORS
     )
-    cause = (
-        shortage(error, path, path.with_name(path.name + "-wal"))
-        if is_of_system
-        else None
-    )
+    cause = None
+    if is_of_system:
+        cause = shortage(error, path, path.with_name(path.name + "-wal"))
     if code == sqlite3.SQLITE_FULL or (cause and is_disk_full(cause)):
         raise DiskFullError(
             f"The disk is full: {path} cannot grow; finished results are kept."

@@ -13,12 +13,15 @@ import zlib
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 #: Every n-th byte is sampled; n is prime so that no dimension aliases.
 _SAMPLING = 13
 #: Least unevenness of bytes to deflate, and least fraction that repeats at a lag, as
 #: across multipliers.
-_MIN_UNEVENNESS, _MIN_REPETITION, _LAGS = 1.1, 0.02, (1, 2, 3, 4, 6, 8)
+_MIN_UNEVENNESS = 1.1
+_MIN_REPETITION = 0.02
+_LAGS = (1, 2, 3, 4, 6, 8)
 
 
 class Packed(NamedTuple):
@@ -28,7 +31,7 @@ class Packed(NamedTuple):
     checksum: int
 
 
-def pack_values(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
+def pack_values(values: ndarray, extent: tuple[int, ...]) -> Packed:
     """Pack the values of a variable in a chunk, as the archive holds them.
 
     Parameters
@@ -52,17 +55,18 @@ def pack_values(values: np.ndarray, extent: tuple[int, ...]) -> Packed:
 
 @functools.lru_cache(256)
 def _pack_constant(
-    value: bytes, dtype: str, shape: tuple[int, ...], extent: tuple[int, ...]
+    value: bytes,
+    dtype: str,
+    shape: tuple[int, ...],
+    extent: tuple[int, ...],
 ) -> Packed:
-    values = (
-        np.full(shape, np.frombuffer(value, dtype)[0])
-        if value
-        else np.empty(shape, dtype)
-    )
+    values = np.empty(shape, dtype)
+    if value:
+        values[...] = np.frombuffer(value, dtype)[0]
     return Packed(pack(values, extent), zlib.crc32(values.tobytes()))
 
 
-def pack(values: np.ndarray, extent: tuple[int, ...]) -> bytes:
+def pack(values: ndarray, extent: tuple[int, ...]) -> bytes:
     """Apply the filters fletcher32, shuffle and deflate, in this order, to a chunk,
     whose values zeros make whole.
 
@@ -79,39 +83,45 @@ def pack(values: np.ndarray, extent: tuple[int, ...]) -> bytes:
     -----
     The stream follows RFC 1950 (zlib) and RFC 1951 (deflate).
     """
-    whole, size = np.zeros(extent, values.dtype), values.itemsize
+    whole = np.zeros(extent, values.dtype)
     whole[tuple(map(slice, values.shape))] = values
     data = whole.reshape(-1).view(np.uint8)
-    data = np.concatenate(
-        [data, np.frombuffer(struct.pack("<I", fletcher32(data)), np.uint8)]
-    )
+    checksum = struct.pack("<I", fletcher32(data))
+    after = np.frombuffer(checksum, np.uint8)
+    data = np.concatenate([data, after])
+
+    # The first bytes of all values, then the second ones, and so on; last what is left
+    # of the checksum.
+    size = values.itemsize
     n = len(data) // size
-    planes = np.ascontiguousarray(data[: n * size].reshape(n, size).T)
+    values_of_bytes = data[: n * size].reshape(n, size)
+    planes = np.ascontiguousarray(values_of_bytes.T)
+    are_compressible = [True] * size
+    if values.dtype.kind == "f":
+        are_compressible = _compressible_planes(planes)
+    return _deflated(planes, are_compressible, data[n * size :].tobytes())
+
+
+def _deflated(planes: ndarray, are_compressible: list[bool], rest: bytes) -> bytes:
+    """Planes of bytes and a rest as one stream, in which those that are not compressible
+    are stored.
+    """
     checksum, stream = 1, [b"\x78\x01"]
-    compressible_planes = (
-        _compressible_planes(planes) if values.dtype.kind == "f" else [True] * size
-    )
-    for compressible, run in itertools.groupby(
-        zip(compressible_planes, planes, strict=True), key=lambda pair: pair[0]
-    ):
-        deflate = zlib.compressobj(int(compressible), zlib.DEFLATED, -15)
+    pairs = zip(are_compressible, planes, strict=True)
+    for is_compressible, run in itertools.groupby(pairs, key=lambda pair: pair[0]):
+        deflate = zlib.compressobj(int(is_compressible), zlib.DEFLATED, -15)
         for _, plane in run:
             checksum = zlib.adler32(plane, checksum)
             stream.append(deflate.compress(plane))
         stream.append(deflate.flush(zlib.Z_SYNC_FLUSH))
-    rest = data[n * size :].tobytes()
+
     last = zlib.compressobj(0, zlib.DEFLATED, -15)
-    return b"".join(
-        [
-            *stream,
-            last.compress(rest),
-            last.flush(),
-            struct.pack(">I", zlib.adler32(rest, checksum)),
-        ]
-    )
+    stream += [last.compress(rest), last.flush()]
+    stream.append(struct.pack(">I", zlib.adler32(rest, checksum)))
+    return b"".join(stream)
 
 
-def unpack(data: bytes | memoryview, dtype: str, extent: tuple[int, ...]) -> np.ndarray:
+def unpack(data: bytes | memoryview, dtype: str, extent: tuple[int, ...]) -> ndarray:
     """Unpack a chunk.
 
     Parameters
@@ -137,31 +147,31 @@ def unpack(data: bytes | memoryview, dtype: str, extent: tuple[int, ...]) -> np.
     except zlib.error as error:
         raise ValueError(f"not a packed chunk: {error}") from error
     n = len(unpacked) // size
-    values = np.ascontiguousarray(unpacked[: n * size].reshape(size, n).T).reshape(-1)
-    values = np.concatenate([values, unpacked[n * size :]])[:-4]
+    planes = unpacked[: n * size].reshape(size, n)
+    values = np.ascontiguousarray(planes.T).reshape(-1)
+    rest = unpacked[n * size :]
+    values = np.concatenate([values, rest])[:-4]
     return values.view(dtype).reshape(extent)
 
 
-def _compressible_planes(planes: np.ndarray) -> list[bool]:
+def _compressible_planes(planes: ndarray) -> list[bool]:
     """Planes of bytes that, by a sample, are less even than chance or repeat at a lag."""
-    size, last = planes.shape[0], max(1, planes.shape[1] - _LAGS[-1])
+    size, length = planes.shape
+    last = max(1, length - _LAGS[-1])
     sample = planes[:, :last:_SAMPLING]
+    numbers = sample + 256 * np.arange(size)[:, None]
+    histogram = np.bincount(numbers.ravel(), minlength=256 * size).reshape(size, 256)
+
     n = sample.shape[1]
-    histogram = np.bincount(
-        (sample + 256 * np.arange(size)[:, None]).ravel(), minlength=256 * size
-    ).reshape(size, 256)
-    compressible = np.sum(histogram**2, axis=1) > _MIN_UNEVENNESS * (
-        n + n * (n - 1) / 256
-    )
-    for lag in _LAGS if planes.shape[1] > _LAGS[-1] else ():
-        compressible |= (
-            np.mean(sample == planes[:, lag : last + lag : _SAMPLING], axis=1)
-            > _MIN_REPETITION
-        )
+    by_chance = n + n * (n - 1) / 256
+    compressible = np.sum(histogram**2, axis=1) > _MIN_UNEVENNESS * by_chance
+    for lag in _LAGS if length > _LAGS[-1] else ():
+        is_repeated = sample == planes[:, lag : last + lag : _SAMPLING]
+        compressible |= np.mean(is_repeated, axis=1) > _MIN_REPETITION
     return compressible.tolist()
 
 
-def fletcher32(data: np.ndarray) -> int:
+def fletcher32(data: ndarray) -> int:
     """Fletcher checksum as HDF5 defines it; an odd number of bytes is padded with a
     zero.
 
@@ -173,10 +183,14 @@ def fletcher32(data: np.ndarray) -> int:
     -------
     int
     """
-    words = (
-        np.append(data, np.zeros(len(data) % 2, np.uint8)).view(">u2").astype(np.int64)
-    )
-    low, high = int(words.sum()), int(words @ np.arange(len(words), 0, -1))
-    return (high % 65535 or 65535 * (high > 0)) << 16 | (
-        low % 65535 or 65535 * (low > 0)
-    )
+    padding = np.zeros(len(data) % 2, np.uint8)
+    whole = np.append(data, padding)
+    words = whole.view(">u2").astype(np.int64)
+    low = int(words.sum())
+    high = int(words @ np.arange(len(words), 0, -1))
+    return _ones_complement(high) << 16 | _ones_complement(low)
+
+
+def _ones_complement(total: int) -> int:
+    """A sum of words modulo 65535, of which 65535 stands for 0 unless all are zero."""
+    return total % 65535 or 65535 * (total > 0)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.pipeline import dispatch, serialize
 from gaitsweep.pipeline.grid.grid import Shape
@@ -31,9 +32,8 @@ _REASON = np.dtype("u8")
 @functools.lru_cache(4096)
 def sentence_number(sentence: str) -> int:
     """Number that stands for a sentence."""
-    return int.from_bytes(
-        hashlib.blake2b(sentence.encode(), digest_size=8).digest(), "little"
-    )
+    digest = hashlib.blake2b(sentence.encode(), digest_size=8).digest()
+    return int.from_bytes(digest, "little")
 
 
 def _dtype_of(name: str) -> np.dtype:
@@ -54,7 +54,7 @@ class Points:
         Sentences of `reason`, by their numbers.
     """
 
-    values: dict[str, np.ndarray]
+    values: dict[str, ndarray]
     sentences: dict[int, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -71,104 +71,86 @@ class Points:
             If a variable has not the shape of the points, or they are not those of the
             lines.
         """
-        results = (
-            [result for _, result in returned] if "lines" in params else [returned]
-        )
-        parts, count = (
-            list[Points](),
-            len(params.get("lines", [None])) * len(params["slope"]),
-        )
-        for result in results:
-            names = (
-                "status",
-                *(name for name in params["want"] if name not in ("status", "reason")),
-            )
-            values = {
-                name: np.asarray(result[name], VARIABLES[name].dtype) for name in names
-            }
-            for name, array in values.items():
-                if array.shape[:2] != values["status"].shape:
-                    raise ValueError(
-                        f"`{name}` has shape {array.shape}, `status` {values['status'].shape}"
-                    )
-            sentences = [str(sentence) for sentence in result["reasons"]] or [""]
-            reason = np.asarray(result["reason"])
-            occurs = np.flatnonzero(
-                np.bincount(reason.ravel(), minlength=len(sentences))
-            ).tolist()
-            numbers = np.array(
-                [sentence_number(sentence) for sentence in sentences], _REASON
-            )
-            parts.append(
-                cls(
-                    {**values, "reason": numbers[reason]},
-                    {int(numbers[k]): sentences[k] for k in occurs},
-                )
-            )
+        results = [returned]
+        if "lines" in params:
+            results = [result for _, result in returned]
+        parts = [cls._of_result(result, params["want"]) for result in results]
         points = joined(parts) if len(parts) > 1 else parts[0]
+
+        count = len(params.get("lines", [None])) * len(params["slope"])
         if len(points) != count:
             raise ValueError(f"{len(points)} points are returned of {count}")
         return points
 
     @classmethod
+    def _of_result(cls, result: Mapping[str, Any], want: Iterable[str]) -> "Points":
+        """What a task returns for points of a line."""
+        others = [name for name in want if name not in ("status", "reason")]
+        values: dict[str, ndarray] = {}
+        for name in ("status", *others):
+            array = np.asarray(result[name], VARIABLES[name].dtype)
+            values[name] = array
+            shape = values["status"].shape
+            if array.shape[:2] != shape:
+                raise ValueError(f"`{name}` has shape {array.shape}, `status` {shape}")
+
+        sentences = [str(sentence) for sentence in result["reasons"]] or [""]
+        numbers = [sentence_number(sentence) for sentence in sentences]
+        reason = np.asarray(result["reason"])
+        values["reason"] = np.array(numbers, _REASON)[reason]
+
+        occurrences = np.bincount(reason.ravel(), minlength=len(sentences))
+        occurs = np.flatnonzero(occurrences).tolist()
+        return cls(values, {numbers[k]: sentences[k] for k in occurs})
+
+    @classmethod
     def of_ending(
-        cls, points: int, ending: str, reason: str, want: Iterable[str]
+        cls,
+        points: int,
+        ending: str,
+        reason: str,
+        want: Iterable[str],
     ) -> "Points":
         """Points whose worker ended so, a name of `statuses.ENDINGS`."""
-        number, shape = sentence_number(reason), (points, len(GAITS))
-        none = {name: (points, 0, *(0 for _ in inner_sizes(name, 0))) for name in want}
-        values = {
-            name: np.empty(extent, _dtype_of(name)) for name, extent in none.items()
-        }
-        values |= {
-            "status": np.full(shape, ENDINGS[ending], np.int8),
-            "reason": np.full(shape, number, _REASON),
-        }
+        values = {}
+        for name in want:
+            inner = [0 for _ in inner_sizes(name, 0)]
+            values[name] = np.empty((points, 0, *inner), _dtype_of(name))
+
+        number = sentence_number(reason)
+        shape = (points, len(GAITS))
+        values["status"] = np.full(shape, ENDINGS[ending], np.int8)
+        values["reason"] = np.full(shape, number, _REASON)
         return cls(values, {number: reason})
 
-    def take(self, rows: np.ndarray) -> "Points":
+    def take(self, rows: ndarray) -> "Points":
         """Some of the points, in that order."""
         if np.array_equal(rows, np.arange(len(self))):
             return self
-        return Points(
-            {name: array[rows] for name, array in self.values.items()}, self.sentences
-        )
-
-
-def rows_of(lines: np.ndarray, slopes: int) -> np.ndarray:
-    """Rows of the points of some lines, by their places, which have so many slopes
-    each.
-    """
-    rows: np.ndarray = (lines[:, None] * slopes + np.arange(slopes)).ravel()
-    return rows
+        values = {name: array[rows] for name, array in self.values.items()}
+        return Points(values, self.sentences)
 
 
 def joined(parts: Sequence[Points], least: tuple[int, int] = (0, 0)) -> Points:
     """Points one after the other; of a variable as many gaits and multipliers as any
     part has, and at least so many.
     """
-    sentences = {
-        number: text for part in parts for number, text in part.sentences.items()
-    }
+    sentences: dict[int, str] = {}
+    for part in parts:
+        sentences.update(part.sentences)
+
     values = {}
     for name in parts[0].values:
         arrays = [part.values[name] for part in parts]
-        shape = tuple(
-            map(
-                max,
-                zip(
-                    least[: arrays[0].ndim - 1],
-                    *(array.shape[1:] for array in arrays),
-                    strict=True,
-                ),
-            )
-        )
+        inner = [array.shape[1:] for array in arrays]
+        sizes = zip(least[: len(inner[0])], *inner, strict=True)
+        shape = tuple(map(max, sizes))
         widened = [_widened(name, array, shape) for array in arrays]
         values[name] = np.concatenate(widened) if len(widened) > 1 else widened[0]
     return Points(values, sentences)
 
 
-def _widened(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _widened(name: str, values: ndarray, shape: tuple[int, ...]) -> ndarray:
     """Values of points with so many gaits and multipliers, of which the last are
     absent.
     """
@@ -237,7 +219,7 @@ class ChunkCodec:
         payload = b"".join(piece.data for piece in pieces)
         return Record(serialize.dump(head), payload)
 
-    def _pieces(self, name: str, array: np.ndarray, columns: int) -> list[Packed]:
+    def _pieces(self, name: str, array: ndarray, columns: int) -> list[Packed]:
         """Pack a variable, gait by gait."""
         if has_multipliers(name):
             array = _widened(name, array, (array.shape[1], self.multipliers))
@@ -248,7 +230,7 @@ class ChunkCodec:
         return [pack_values(of_gait, extent) for of_gait in values]
 
 
-def _counted(points: Points) -> dict[str, np.ndarray]:
+def _counted(points: Points) -> dict[str, ndarray]:
     """What the head of a record says of its points: how many have which statuses, and
     which sentences their gaits have.
     """
@@ -320,11 +302,11 @@ class Head:
     gaits: frozenset[str]
     is_archived: bool
     columns: dict[str, int]
-    statuses: np.ndarray
-    occurrences: np.ndarray
-    numbers: np.ndarray
-    texts: np.ndarray
-    used: np.ndarray
+    statuses: ndarray
+    occurrences: ndarray
+    numbers: ndarray
+    texts: ndarray
+    used: ndarray
     places: dict[tuple[str, int], tuple[int, int, int]]
 
     @staticmethod
@@ -338,7 +320,8 @@ class Head:
             If it is none.
         """
         head: dict[str, Any] = serialize.load(data)
-        sizes, counts = head["sizes"], head["columns"]
+        sizes = head["sizes"]
+        counts = head["columns"]
         if (counts < 0).any() or counts.sum() != len(sizes):
             raise ValueError("not the head of a record")
 
@@ -394,7 +377,7 @@ class Head:
         start, end, checksum = self.places[name, gait]
         return Packed(bytes(payload[start:end]), checksum)
 
-    def unpack(self, payload: memoryview, name: str) -> np.ndarray:
+    def unpack(self, payload: memoryview, name: str) -> ndarray:
         """Values of a variable.
 
         Returns
@@ -403,9 +386,10 @@ class Head:
             Line by line.
         """
         extent = _extent(name, self.shape, self.multipliers)
-        points, more = math.prod(self.shape.sizes), extent[len(self.shape.extent) :]
+        points = math.prod(self.shape.sizes)
+        more = extent[len(self.shape.extent) :]
         dtype = _dtype_of(name)
-        columns: list[np.ndarray] = []
+        columns: list[ndarray] = []
         for gait in range(self.columns[name]):
             piece = self.piece(payload, name, gait)
             assert piece
@@ -421,6 +405,7 @@ class Head:
 
 def decode(record: Record, names: Iterable[str] | None = None) -> Points:
     """Points of a record, with all variables that it holds or some of them."""
-    head, payload = Head.parse(record.head), memoryview(record.payload)
+    head = Head.parse(record.head)
+    payload = memoryview(record.payload)
     values = {name: head.unpack(payload, name) for name in names or head.columns}
     return Points(values, head.sentences())

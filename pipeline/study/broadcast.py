@@ -56,13 +56,9 @@ def _plain(value: Any) -> Any:
     """
     if isinstance(value, Mapping):
         return {str(key): _plain(each) for key, each in value.items()}
-    return (
-        value.item()
-        if isinstance(value, np.generic)
-        else str(value)
-        if isinstance(value, Path)
-        else value
-    )
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value) if isinstance(value, Path) else value
 
 
 def _check_keys(names: Iterable[str], texts: Iterable[str] = ("toward",)) -> None:
@@ -138,28 +134,23 @@ def broadcast(
         If one holds anything but numbers, if shapes do not broadcast, or if the
         coordinates of two DataArrays differ.
     """
-    values = {
-        name: v if isinstance(v, xr.DataArray) else _numbers(name, v)
-        for name, v in values.items()
-    }
-    plain = {name: v for name, v in values.items() if isinstance(v, np.ndarray)}
-    try:
-        shape = np.broadcast_shapes(*(v.shape for v in plain.values()))
-    except ValueError as error:
-        shapes = ", ".join(f"`{name}` {v.shape}" for name, v in plain.items() if v.ndim)
-        raise StudyError(f"Shapes do not broadcast: {shapes}.") from error
-    named = {name: _named(name, v, shape) for name, v in values.items()}
+    plain: dict[str, np.ndarray] = {}
+    for name, value in values.items():
+        if not isinstance(value, xr.DataArray):
+            plain[name] = _numbers(name, value)
+    shape = _shape_of_all(plain)
+    named = {name: _named(name, v, shape) for name, v in {**values, **plain}.items()}
+
     try:
         aligned = xr.align(*named.values(), join="exact", copy=False)
-        whole = xr.DataArray(
-            np.broadcast_to(0.0, shape), dims=[f"dim_{i}" for i in range(len(shape))]
-        )
+        dims = [f"dim_{i}" for i in range(len(shape))]
+        whole = xr.DataArray(np.broadcast_to(0.0, shape), dims=dims)
         _, *grid = xr.broadcast(whole, *aligned)
     except ValueError as error:
         # Only the first line of xarray's message says what is wrong.
-        raise StudyError(
-            f"The DataArrays do not fit each other: {clip(str(error).splitlines()[0], 200)}."
-        ) from error
+        why = clip(str(error).splitlines()[0], 200)
+        raise StudyError(f"The DataArrays do not fit each other: {why}.") from error
+
     arrays = dict(zip(named, aligned, strict=True))
     for name, array in arrays.items():
         if name in grid[0].dims and array.dims != (name,):
@@ -169,25 +160,29 @@ def broadcast(
     return arrays, tuple(grid)
 
 
+def _shape_of_all(arrays: Mapping[str, np.ndarray]) -> tuple[int, ...]:
+    """The shape to which arrays broadcast."""
+    try:
+        return np.broadcast_shapes(*(array.shape for array in arrays.values()))
+    except ValueError as error:
+        shapes = [f"`{name}` {a.shape}" for name, a in arrays.items() if a.ndim]
+        raise StudyError(f"Shapes do not broadcast: {', '.join(shapes)}.") from error
+
+
 def _numbers(name: str, value: object) -> np.ndarray:
     _check_keys([name], ("toward", "trailing_knee"))
+    kinds, wanted = "iuf", "a number or an array of numbers"
+    if name == "knees":
+        kinds, wanted = "b", "true or false, or an array of them"
     try:
-        array = (
-            np.ma.filled(value.astype(float), np.nan)
-            if isinstance(value, np.ma.MaskedArray)
-            else np.asarray(value)
-        )
-    except (
-        ValueError,
-        TypeError,
-    ):  # rows of different lengths, objects of other packages
+        if isinstance(value, np.ma.MaskedArray):
+            array = np.ma.filled(value.astype(float), np.nan)
+        else:
+            array = np.asarray(value)
+    except (ValueError, TypeError):
+        # Rows of different lengths, objects of other packages.
         array = np.empty(0, object)
-    if array.dtype.kind not in ("b" if name == "knees" else "iuf"):
-        wanted = (
-            "true or false, or an array of them"
-            if name == "knees"
-            else "a number or an array of numbers"
-        )
+    if array.dtype.kind not in kinds:
         raise StudyError(f"`{name}` must be {wanted}; got {_kind(value)}.")
     return array if name == "knees" else array.astype(float, copy=False)
 

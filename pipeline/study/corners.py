@@ -35,11 +35,9 @@ def check_walkers(
         try:
             check = _checked(study, candidate, keys)
         except ValueError as error:
-            place = (
-                way
-                if getattr(error, "key", "") == "toward"
-                else _fault(candidate, keys, error, top)
-            )
+            place = way
+            if getattr(error, "key", "") != "toward":
+                place = _fault(candidate, keys, error, top)
             raise place.error(str(error)) from error
         if study.kind == "curve":
             _check_curve(study, candidate, values, top.at("options"))
@@ -172,15 +170,12 @@ def _check_curve(
                 {"walker": walker, "set": {**values, options["key"]: options[end]}},
             )
         except ValueError as error:
-            value = getattr(error, "key", "") == options["key"]
-            sentence = (
-                str(error)
-                if value
-                else f"`{options['key']}` = {options[end]!r} leaves no walker: {error}"
-            )
-            raise location.at(end if end in study.options else "key").error(
-                sentence
-            ) from error
+            sentence = str(error)
+            if getattr(error, "key", "") != options["key"]:
+                value = f"`{options['key']}` = {options[end]!r}"
+                sentence = f"{value} leaves no walker: {error}"
+            place = location.at(end if end in study.options else "key")
+            raise place.error(sentence) from error
 
 
 def _check_optimum(

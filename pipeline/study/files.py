@@ -32,11 +32,9 @@ def read_text(path: Path, shown: str, most: int = 1) -> str:
     """
     try:
         if not path.is_file():
-            raise StudyError(
-                f"{shown} is not a file."
-                if path.exists()
-                else f"There is no file {shown}."
-            )
+            if path.exists():
+                raise StudyError(f"{shown} is not a file.")
+            raise StudyError(f"There is no file {shown}.")
         if path.suffix == ".nc":
             raise StudyError(f"{shown} is an archive; a file NAME.toml is wanted.")
         if path.stat().st_size > most << 20:
@@ -82,15 +80,15 @@ def studies(name: Path) -> list[Path]:
     for file in sorted(_STUDIES.glob("*/*.toml")):
         for known in (file.parent, file.with_suffix("")):
             shipped.setdefault(known.relative_to(_STUDIES).as_posix(), []).append(file)
-    if (
-        near := []
-        if str(name) in shipped
-        else difflib.get_close_matches(str(name), shipped, 1)
-    ):
+    if str(name) in shipped:
+        return shipped[str(name)]
+
+    near = difflib.get_close_matches(str(name), shipped, 1)
+    if near:
         raise StudyError(
             f"There is no file {clip(str(name), 200)}; did you mean `{near[0]}`?"
         )
-    return shipped.get(str(name), [name])
+    return [name]
 
 
 def unreadable(shown: str, error: Exception) -> StudyError:
@@ -228,11 +226,10 @@ def changed(
     keys: dict[str, Any] = {} if toward is None else {"toward": toward}
     if tuned:
         keys["tuned"] = [tuned] if isinstance(tuned, str) else list(tuned)
-    return (
-        {**({"base": value} if isinstance(value, str) else value), **keys}
-        if keys
-        else value
-    )
+    if not keys:
+        return value
+    base = {"base": value} if isinstance(value, str) else value
+    return {**base, **keys}
 
 
 def _walker_file(

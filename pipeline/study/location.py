@@ -80,12 +80,9 @@ class Location:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.wrong("must be a number", value)
         if abs(value) > LARGEST:  # a whole number may exceed every double
-            raise self.wrong(
-                "must be finite"
-                if value in (math.inf, -math.inf)
-                else "must be at most 1e300",
-                value,
-            )
+            is_infinite = value in (math.inf, -math.inf)
+            bound = "must be finite" if is_infinite else "must be at most 1e300"
+            raise self.wrong(bound, value)
         if math.isnan(value):
             raise self.wrong("must be finite", value)
         return float(value)

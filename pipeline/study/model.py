@@ -100,18 +100,11 @@ class Plane:
 
         `log` is whether the values of a key are spread by their logarithms.
         """
-        low, high = (
-            [float(of(axis.values)) for axis in self.axes] for of in (np.min, np.max)
-        )
-        keys, log = (
-            [axis.name for axis in self.axes],
-            [axis.is_log for axis in self.axes],
-        )
         return {
-            "keys": keys,
-            "low": low,
-            "high": high,
-            "log": log,
+            "keys": [axis.name for axis in self.axes],
+            "low": [float(axis.values.min()) for axis in self.axes],
+            "high": [float(axis.values.max()) for axis in self.axes],
+            "log": [axis.is_log for axis in self.axes],
             "lines": about(self.lines),
         }
 
@@ -255,11 +248,8 @@ class Study:
         if not of_designs and len(axes) == 2 and len(axes[0]) < _MIN_ACROSS:
             del axes[0]
         plane = Plane(tuple(sorted(axes, key=lambda axis: axis.name)))
-        return (
-            plane
-            if axes and plane.lines >= (_MIN_DESIGNS if of_designs else _MIN_LINES)
-            else None
-        )
+        least = _MIN_DESIGNS if of_designs else _MIN_LINES
+        return plane if axes and plane.lines >= least else None
 
     @property
     def batches(self) -> int:

@@ -19,6 +19,11 @@ _MAX_MIB, _MAX_ROWS = 4, 20_000
 #: Other spellings of units, and factors of units that are converted.
 _SPELLINGS = {"": "1", "-": "1", "m/s": "m s-1", "rad/s": "rad s-1", "N*m": "N m"}
 _DEGREES = ("deg", "°", "degree", "degrees")
+#: Columns of names, and those of numbers beside the axes.
+_TEXTS = ("walker", "gait")
+_MEASURED = [
+    v.name for v in VARIABLES.values() if v.dims == ("gait",) and v.dtype == "f8"
+]
 
 
 def read(name: str, study: Study, location: Location) -> Columns:
@@ -57,13 +62,9 @@ def read(name: str, study: Study, location: Location) -> Columns:
         raise location.error(
             f"{shown} must have a heading and 1 to {_MAX_ROWS:,} rows; it has {max(0, len(rows) - 1)}"
         )
+
     columns = dict(_columns(rows, shown, study, location))
-    needed = [
-        axis.name
-        for axis in study.axes
-        if len(axis) > 1 and (axis.name == "slope" or study.kind == "grid")
-    ]
-    for axis in [*needed, "walker"] if len(study.walkers) > 1 else needed:
+    for axis in _needed(study):
         if axis not in columns:
             raise location.error(
                 f"{shown} needs the column `{axis}`, an axis with several values"
@@ -74,6 +75,17 @@ def read(name: str, study: Study, location: Location) -> Columns:
         )
     location.check_names(columns.get("walker", ()), study.names, "walker")
     return columns
+
+
+def _needed(study: Study) -> list[str]:
+    """Axes that need a column: those with several values."""
+    needed = []
+    for axis in study.axes:
+        if len(axis) > 1 and (axis.name == "slope" or study.kind == "grid"):
+            needed.append(axis.name)
+    if len(study.walkers) > 1:
+        needed.append("walker")
+    return needed
 
 
 def points(study: Study) -> dict[str, Any]:
@@ -113,37 +125,42 @@ def _along(axis: Axis, rows: Mapping[str, np.ndarray], n: int) -> np.ndarray:
 def _columns(
     rows: list[list[str]], shown: str, study: Study, location: Location
 ) -> Iterator[tuple[str, np.ndarray]]:
-    axes = {axis.name: units.axis_units(axis.name, study.checks) for axis in study.axes}
-    measured = [
-        v.name for v in VARIABLES.values() if v.dims == ("gait",) and v.dtype == "f8"
-    ]
-    known = [*axes, "walker", "gait", *measured]
+    expected = _units(study)
     seen = []
     for k, heading in enumerate(rows[0]):
-        match = re.fullmatch(r"\s*(\w+)\s*(?:\[([^\]]*)\])?\s*", heading)
-        name, unit = (match[1], (match[2] or "").strip()) if match else (heading, "")
+        name, unit = _name_and_unit(heading)
         base = name.removesuffix("_error")
-        if name not in known and not (
-            base != name and base in known and base not in ("walker", "gait")
-        ):
+        if name not in _TEXTS and base not in expected:
+            known = [*(axis.name for axis in study.axes), *_TEXTS, *_MEASURED]
             raise location.unknown(name, known, f"column of {shown}")
         if name in seen:
             raise location.error(f"{shown} has two columns `{name}`")
         seen.append(name)
+
         cells = [row[k].strip() if k < len(row) else "" for row in rows[1:]]
-        if name in ("walker", "gait"):
+        if name in _TEXTS:
             yield name, _words(name, cells, shown, location)
-            continue
-        expected = (
-            axes[base]
-            if base in axes
-            else units.of_kind(VARIABLES[base].kind, study.checks)
-        )
-        yield (
-            name,
-            _numbers(name, cells, shown, location)
-            * _factor(name, unit, expected, shown, location),
-        )
+        else:
+            numbers = _numbers(name, cells, shown, location)
+            yield name, numbers * _factor(name, unit, expected[base], shown, location)
+
+
+def _units(study: Study) -> dict[str, str]:
+    """Units in which columns of numbers are expected, by name."""
+    expected = {}
+    for name in _MEASURED:
+        expected[name] = units.of_kind(VARIABLES[name].kind, study.checks)
+    for axis in study.axes:
+        expected[axis.name] = units.axis_units(axis.name, study.checks)
+    return expected
+
+
+def _name_and_unit(heading: str) -> tuple[str, str]:
+    """What a heading such as `period [s]` names, and its unit; else all of it."""
+    match = re.fullmatch(r"\s*(\w+)\s*(?:\[([^\]]*)\])?\s*", heading)
+    if not match:
+        return heading, ""
+    return match[1], (match[2] or "").strip()
 
 
 def _factor(
@@ -154,11 +171,9 @@ def _factor(
     if expected == SI_UNITS["angle"] and given in _DEGREES:
         return float(np.pi / 180)
     if given != expected:
-        wanted = (
-            f"`{name} [{expected}]`"
-            if expected != "1"
-            else f"`{name}` without a unit, as the walker has none"
-        )
+        wanted = f"`{name} [{expected}]`"
+        if expected == "1":
+            wanted = f"`{name}` without a unit, as the walker has none"
         heading = f"{name} [{clip(unit, 20)}]" if unit else name
         raise location.error(f"The column `{heading}` of {shown} must be {wanted}")
     return 1.0

@@ -8,7 +8,7 @@ value, the violated bound or the nearest known key, the file and the place in it
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -73,53 +73,82 @@ def parse(
     _check_is_study(table, top)
     kind = value_of(STUDY, "kind", table, top)
     accuracy = _accuracy(table, top, asked)
-
-    way = top.at("axes", "detuning", "toward")
-    given, toward = axes_of_studies.without_toward(table.get("axes"), path, way)
-    axes, of_axes = _axes(table, given, top)
-    chosen = options.check(table.get("options", {}), kind, top.at("options"))
-    tuned = chosen.pop("tuned", ())
-    chosen |= of_axes
+    grid = _grid(table, kind, path, top)
 
     walkers = _walkers(table.get("walker"), path, top.at("walker"))
-    labels = value_of(STUDY, "gaits", table, top) or GAITS
-    named = _table(table.get("want", {}), WANT, top.at("want"))
-    wanted: dict[str, Any] = {
-        **want.read(named, accuracy, top.at("want"), chosen.get("at"))
-    }
+    gaits = _gaits(table, top)
+    wants = _table(table.get("want", {}), WANT, top.at("want"))
+    wanted = want.read(wants, accuracy, top.at("want"), grid.options.get("at"))
+    results: dict[str, Any] = {**wanted}
+
     study = Study(
-        name=STUDY["name"].value.read(table["name"], top.at("name")),
+        name=value_of(STUDY, "name", table, top),
         text=text,
         kind=kind,
         path=path,
-        options=chosen,
+        options=grid.options,
         walker_axis=isinstance(table["walker"], list),
         names=_names(table["walker"], walkers),
-        gaits=tuple(label for label in GAITS if label in labels),
+        gaits=gaits,
         limits=_limits(table, top),
-        walkers=tuple(changed(each, toward, tuned) for each in walkers),
-        axes=axes,
+        walkers=tuple(changed(each, grid.toward, grid.tuned) for each in walkers),
+        axes=grid.axes,
         accuracy=accuracy,
-        **wanted,
+        **results,
     )
     rules.check(study, top)
+    study = _with_checks(study, wants, top, grid.toward_at)
 
-    way = way if toward is not None else top.at("walker", "toward")
-    study = _with_checks(study, named, top, way)
     measured = _measurements(table.get("figures", {}), study, top.at("figures"))
     return replace(study, overlay=measured)
 
 
-def _axes(
-    table: Mapping[str, Any], given: object, top: Location
-) -> tuple[tuple[Axis, ...], dict[str, Any]]:
-    """The axes of a study, and what options hold beside its own: the tolerance of
-    adaptive slopes, and what gaits are sought `at` instead of slopes.
+def _gaits(table: Mapping[str, Any], top: Location) -> tuple[str, ...]:
+    """Labels of the gaits that are wanted, in their own order."""
+    labels = value_of(STUDY, "gaits", table, top) or GAITS
+    return tuple(label for label in GAITS if label in labels)
+
+
+class _Grid(NamedTuple):
+    """Axes and options of a study, and how these change its walkers.
+
+    Attributes
+    ----------
+    axes : tuple of Axis
+    options : dict
+        Those that tasks take, the tolerance of adaptive slopes, and what gaits are
+        sought `at` instead of slopes.
+    toward : str or dict, optional
+        The walker toward which `detuning` leads, if one is named.
+    toward_at : Location
+        Where it is named, or would be by the walker.
+    tuned : sequence of str
+        Keys that are changed so that the walkers are tuned.
     """
-    at, given = target.read(table, given, top)
-    axes, tolerance = axes_of_studies.read(given, top.at("axes"), at)
-    others: dict[str, Any] = {"adaptive": tolerance, "at": at}
-    return axes, {name: value for name, value in others.items() if value}
+
+    axes: tuple[Axis, ...]
+    options: dict[str, Any]
+    toward: Definition | None
+    toward_at: Location
+    tuned: Sequence[str]
+
+
+def _grid(table: Mapping[str, Any], kind: str, path: Path, top: Location) -> _Grid:
+    """Read the axes and the options of a study."""
+    toward_at = top.at("axes", "detuning", "toward")
+    without, toward = axes_of_studies.without_toward(table.get("axes"), path, toward_at)
+    if toward is None:
+        toward_at = top.at("walker", "toward")
+    at, values = target.read(table, without, top)
+    axes, tolerance = axes_of_studies.read(values, top.at("axes"), at)
+
+    chosen = options.check(table.get("options", {}), kind, top.at("options"))
+    tuned = chosen.pop("tuned", ())
+    if tolerance:
+        chosen["adaptive"] = tolerance
+    if at:
+        chosen["at"] = at
+    return _Grid(axes, chosen, toward, toward_at, tuned)
 
 
 def _check_is_study(table: Mapping[str, Any], top: Location) -> None:

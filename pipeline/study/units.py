@@ -13,11 +13,10 @@ def of_kind(kind: str, checks: Sequence[Mapping[str, Any]]) -> str:
     """CF units of a kind of quantity, for walkers of which `tasks` reports so: in SI,
     or in consistent units.
     """
-    return (
-        SI_UNITS.get(kind, "1")
-        if {check["si"] for check in checks} == {True} or kind == "angle"
-        else "1"
-    )
+    are_si = {check["si"] for check in checks} == {True}
+    if are_si or kind == "angle":
+        return SI_UNITS.get(kind, "1")
+    return "1"
 
 
 def kinds() -> dict[str, str]:

@@ -197,11 +197,9 @@ class Range(Value):
     @property
     def words(self) -> str:
         """Two numbers in their order."""
-        return (
-            "two numbers that do not fall"
-            if self.or_equal
-            else "two increasing numbers"
-        )
+        if self.or_equal:
+            return "two numbers that do not fall"
+        return "two increasing numbers"
 
     @property
     def schema(self) -> Schema:

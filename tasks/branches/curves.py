@@ -100,7 +100,10 @@ class _Followed(engine.Tracks):
         self.end = self.Z[:, :0], self.tangent[:, :0]
 
     def correct(
-        self, tracks: Numbers, guess: Coordinates, border: Coordinates
+        self,
+        tracks: Numbers,
+        guess: Coordinates,
+        border: Coordinates,
     ) -> engine.Point:
         return correct_on_curve(self.equations, guess, border)
 
@@ -117,13 +120,17 @@ class _Followed(engine.Tracks):
         return np.array([fair]), error / self.step
 
     def reasons(
-        self, tracks: Numbers, point: engine.Point, last: Coordinates
+        self,
+        tracks: Numbers,
+        point: engine.Point,
+        last: Coordinates,
     ) -> ndarray:
         return np.array(["" if self._is_inside(point.Z) else BORDER])
 
     def _nearest_within(self, Z: Coordinates) -> ndarray:
         """The nearest values of the last unknowns within the window, (f, 1)."""
-        low, high = self.edges[:, :1], self.edges[:, 1:]
+        low = self.edges[:, :1]
+        high = self.edges[:, 1:]
         return np.clip(Z[-len(self.edges) :], low, high)
 
     def _is_inside(self, Z: Coordinates) -> bool:
@@ -133,10 +140,14 @@ class _Followed(engine.Tracks):
         """Find the curve's point on the border, between its last point and one beyond
         the window, as its `end`; and whether there is one.
         """
-        f, nearest = len(self.edges), self._nearest_within(beyond.Z)
+        f = len(self.edges)
+        nearest = self._nearest_within(beyond.Z)
         out = np.flatnonzero(nearest != beyond.Z[-f:])
-        shares = ((nearest - self.Z[-f:]) / (beyond.Z - self.Z)[-f:])[out, 0]
-        share, component = min(zip(shares.tolist(), (out - f).tolist(), strict=True))
+        to_edges = (nearest - self.Z[-f:])[out, 0]
+        shares = to_edges / (beyond.Z - self.Z)[-f:][out, 0]
+        # The edge that it crosses first.
+        crossed = zip(shares.tolist(), (out - f).tolist(), strict=True)
+        share, component = min(crossed)
         if share < _BEGINS_THERE:
             return True
 
@@ -152,7 +163,10 @@ class _Followed(engine.Tracks):
 
 
 def follow(
-    equations: Equations, first: engine.Point, direction: float, window: ndarray
+    equations: Equations,
+    first: engine.Point,
+    direction: float,
+    window: ndarray,
 ) -> Track:
     """Follow a curve from a point on it up to the window's border, or until it closes.
 
@@ -172,7 +186,8 @@ def follow(
     (track,) = tracks.follow(_MAX_POINTS)
 
     if track.stop_reason == CLOSED:  # at its start, beyond which the last point lies
-        track.Z[:, -1], track.tangent[:, -1] = track.Z[:, 0], track.tangent[:, 0]
+        track.Z[:, -1] = track.Z[:, 0]
+        track.tangent[:, -1] = track.tangent[:, 0]
     if track.stop_reason != BORDER:
         return track
 
@@ -186,7 +201,9 @@ def follow(
 
 
 def follow_both_directions(
-    equations: Equations, first: engine.Point, window: ndarray
+    equations: Equations,
+    first: engine.Point,
+    window: ndarray,
 ) -> tuple[ndarray, ndarray, tuple[str, str]]:
     """Follow a curve from a point on it in both directions, or once round.
 
@@ -248,7 +265,10 @@ def across_last(unknowns: int) -> Coordinates:
 
 
 def turning(
-    equations: Equations, a: OnCurve, b: OnCurve, component: int
+    equations: Equations,
+    a: OnCurve,
+    b: OnCurve,
+    component: int,
 ) -> tuple[ndarray, float] | None:
     """Locate where a component of the curve's tangent vanishes between two points; None
     where it keeps its sign.
@@ -273,7 +293,8 @@ def turning(
     Where the key turns along a curve of folds, two branches of gaits touch and exchange
     their halves; where the slope turns as well, two folds annihilate (a cusp).
     """
-    at_a, at_b = a[1][component], b[1][component]
+    at_a = a[1][component]
+    at_b = b[1][component]
     if at_a * at_b >= 0:
         return None
     length = float(np.linalg.norm(b[0] - a[0]))

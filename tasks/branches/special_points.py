@@ -8,7 +8,8 @@ hyperextension of the released knee, beyond which the branch continues.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -58,32 +59,54 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
         number between those of its neighbours.
     """
     nodes = corrected(problem, branch)
+    found = []
+    for kind, node, error in turns_and_ends(branch):
+        found.append(_Found(float(node), kind, nodes, node, error))
+    found += _found_between(problem, branch, nodes)
+
+    records = []
+    for each in sorted(found, key=lambda each: each.place):
+        error = _error(each.kind, each.point, each.lane, each.error)
+        described = record(each.kind, each.point.at, each.lane, error)
+        if each.kind == "end_zero_step":
+            described |= _limit_of_short_steps(branch, each.lane)
+        records.append({**described, "place": each.place})
+    return records
+
+
+class _Found(NamedTuple):
+    """A special point: its place along the branch, kind, the lane of the points that
+    are evaluated, and an error of ln slope that is known.
+    """
+
+    place: float
+    kind: str
+    point: Point
+    lane: int = 0
+    error: float = 0.0
+
+
+def _found_between(
+    problem: Problem,
+    branch: Branch,
+    nodes: Point,
+) -> Iterator[_Found]:
+    """Special points that a branch passes between its nodes, kind by kind."""
+    has_knees = problem.walker.knees
     kinds = [
         name
         for name, kind in KINDS.items()
-        if kind.is_passed and (problem.walker.knees or not kind.needs_knee)
-    ]
-    found = [
-        (float(node), kind, nodes, node, error)
-        for kind, node, error in turns_and_ends(branch)
+        if kind.is_passed and (has_knees or not kind.needs_knee)
     ]
     conditions = [CONDITIONS[kind] for kind in kinds if kind in CONDITIONS]
     raw = Nodes(problem, [[branch]], conditions)
     for kind in kinds:
         if kind in CONDITIONS:
-            passed = _passings(problem, branch, raw, CONDITIONS[kind])
+            points = _passings(problem, branch, raw, CONDITIONS[kind])
         else:
-            passed = _branch_points(problem, branch, nodes)
-        found += [(place, kind, point, 0, 0.0) for place, point in passed]
-
-    records = []
-    for place, kind, point, lane, known in sorted(found, key=lambda each: each[0]):
-        error = _error(kind, point, lane, known)
-        described = record(kind, point.at, lane, error)
-        if kind == "end_zero_step":
-            described |= _limit_of_short_steps(branch, lane)
-        records.append({**described, "place": place})
-    return records
+            points = _branch_points(problem, branch, nodes)
+        for place, point in points:
+            yield _Found(place, kind, point)
 
 
 def turns_and_ends(branch: Branch) -> list[tuple[str, int, float]]:
@@ -91,16 +114,14 @@ def turns_and_ends(branch: Branch) -> list[tuple[str, int, float]]:
     and known errors of ln slope.
     """
     found = [("fold", node, 0.0) for node in branch.turns()]
-    for side, why in enumerate(branch.why):
-        # Both ends of a closed branch are one fold.
-        if not (side and branch.why == ("fold", "fold")):
-            found.append(
-                (
-                    "lost" if why in LOST else why,
-                    side * (len(branch.q) - 1),
-                    branch.end_errors[side],
-                )
-            )
+    last = len(branch.q) - 1
+    ends = [*zip((0, last), branch.why, branch.end_errors, strict=True)]
+    # Both ends of a closed branch are one fold.
+    if branch.why == ("fold", "fold"):
+        ends = ends[:1]
+    for node, why, error in ends:
+        kind = "lost" if why in LOST else why
+        found.append((kind, node, error))
     return found
 
 
@@ -122,11 +143,8 @@ def flips(problem: Problem, branch: Branch) -> list[Evaluation]:
     list of Evaluation
         Of one lane each.
     """
-    return [
-        point.at
-        for place, point in passings(problem, branch, CONDITIONS["flip"])
-        if branch.leg_passes[int(place)] == 1
-    ]
+    found = passings(problem, branch, CONDITIONS["flip"])
+    return [point.at for place, point in found if branch.leg_passes[int(place)] == 1]
 
 
 def passings(
@@ -152,7 +170,10 @@ def passings(
 
 
 def _passings(
-    problem: Problem, branch: Branch, nodes: Nodes, condition: Condition
+    problem: Problem,
+    branch: Branch,
+    nodes: Nodes,
+    condition: Condition,
 ) -> list[tuple[float, Point]]:
     """What `passings` returns, by the values of the condition at nodes."""
     guesses = guess_passings(problem, nodes, condition)
@@ -164,6 +185,7 @@ def _passings(
     share = branch.place_of(guesses.node, solved.Z) - guesses.node
     solved.ok &= (share > -_AT_NODE) & (share < 1 + _AT_NODE)
     place = guesses.node + np.clip(share, _AT_NODE, 1 - _AT_NODE)
+
     found: list[tuple[float, Point]] = []
     for lane in np.flatnonzero(solved.ok).tolist():
         point = lanes_of(solved, np.array([lane]))
@@ -211,7 +233,8 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
     angle has vanished in doubles.
     """
     order = slice(None) if end == 0 else slice(None, None, -1)
-    Z, tangent = branch.Z[:, order], branch.tangent[:, order]
+    Z = branch.Z[:, order]
+    tangent = branch.tangent[:, order]
     rates = np.abs(Z[1 : branch.m, 0])
     share = 1 / np.abs(Z[1 + int(rates.argmax())])
     slope = np.exp(Z[-1])
@@ -237,7 +260,9 @@ def _extrapolated(x: ndarray, y: ndarray) -> ndarray:
     wanted = x[0] + (x[-1] - x[0]) * (0.5 - 0.5 * np.cos(angles))
     nearest = np.unique(np.abs(x[:, None] - wanted).argmin(axis=0))
 
-    values, x, row = [y[0]], x[nearest], y[nearest]
+    values = [y[0]]
+    x = x[nearest]
+    row = y[nearest]
     for k in range(1, len(x)):
         weighted = x[k:] * row[:-1] - x[:-k] * row[1:]
         row = weighted / (x[k:] - x[:-k])
@@ -260,9 +285,10 @@ def _strikes_with_knee(point: Point, lane: int) -> bool:
     and not in a smooth minimum.
     """
     knee = point.at.stride.one.knee
-    return len(knee) > 0 and bool(
-        np.abs(knee[0, ..., lane] + knee[1, ..., lane]).min() < _ON_GROUND
-    )
+    if not len(knee):
+        return False
+    height = knee[0, ..., lane] + knee[1, ..., lane]
+    return bool(np.abs(height).min() < _ON_GROUND)
 
 
 def state_at(point: Evaluation, lane: int) -> dict[str, Any]:
@@ -275,31 +301,35 @@ def state_at(point: Evaluation, lane: int) -> dict[str, Any]:
         `stance_angle` [rad] and `rates` of stance leg, thigh and shank [sqrt(g/leg)].
     """
     problem = point.problem
-    y, scale = problem.section(
-        from_largest(point.w[:, [lane]], problem.m, problem.steps)
-    )
+    w = from_largest(point.w[:, [lane]], problem.m, problem.steps)
+    y, scale = problem.section(w)
     state = problem.start(y * scale, np.exp(point.q[[lane]]))[:, 0].tolist()
     return {"stance_angle": state[0], "rates": tuple(state[1:])}
 
 
 def _error(kind: str, point: Point, lane: int, known: float) -> float:
     """Bound on the relative error of a special point's slope, of which a part is known."""
-    error, problem, Z = known, point.at.problem, point.Z[:, lane]
+    problem = point.at.problem
+    Z = point.Z[:, lane]
+    is_flip_of_others = kind == "branch_point" and known
     if kind == "end_earlier_strike" and _strikes_with_knee(point, lane):
-        error += slope_error(problem, CONDITIONS["foot_at_kneestrike"], Z)
+        error = slope_error(problem, CONDITIONS["foot_at_kneestrike"], Z)
     elif is_located(kind) and kind != "window":
-        error += slope_error(problem, CONDITIONS[kind], Z)
-    elif not (
-        kind == "branch_point" and known
-    ):  # that of a flip at which the branch begins is known
-        error += float(
-            np.nan_to_num(rounding(point.at.stride)[:, lane], nan=np.inf).max()
-        )
-    return error + 8 * EPS
+        error = slope_error(problem, CONDITIONS[kind], Z)
+    elif is_flip_of_others:
+        # The branch begins at it.
+        error = 0.0
+    else:
+        rounded = rounding(point.at.stride)[:, lane]
+        error = float(np.nan_to_num(rounded, nan=np.inf).max())
+    return known + error + 8 * EPS
 
 
 def record(
-    kind: str, point: Evaluation, lane: int, error_bound: float
+    kind: str,
+    point: Evaluation,
+    lane: int,
+    error_bound: float,
 ) -> dict[str, Any]:
     """Describe a special point as `special_points` does, but for its place."""
     return {

@@ -47,11 +47,9 @@ class Piece:
     def end_errors(self) -> tuple[float, float]:
         """Errors of `q`, beyond rounding; those of the branch's own ends at folds."""
         low, high = self.branch.end_errors
-        return (
-            (high, low)
-            if self.branch.q[self.first] > self.branch.q[self.last]
-            else (low, high)
-        )
+        if self.branch.q[self.first] > self.branch.q[self.last]:
+            return high, low
+        return low, high
 
     def covered(self, q: np.ndarray) -> np.ndarray:
         """Return indices of the ln slopes (n,) that it covers."""

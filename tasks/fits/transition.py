@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.fits.power_law import fit
 
@@ -19,7 +20,7 @@ CUBE_ROOT = math.tanh(math.pi / 2) ** (2 / 3)
 _LINEAR = 0.05
 
 
-def asymptotic(ratio: np.ndarray) -> np.ndarray:
+def asymptotic(ratio: ndarray) -> ndarray:
     """Slope at which the two laws cross, to leading order in the foot mass ratio:
     ratio^(3/2) coth^2(pi/2)/8.
 
@@ -34,9 +35,7 @@ def asymptotic(ratio: np.ndarray) -> np.ndarray:
     return ratio**1.5 / (8 * math.tanh(math.pi / 2) ** 2)
 
 
-def linear_amplitude(
-    slope: np.ndarray, angle: np.ndarray
-) -> tuple[float, float, float, int]:
+def linear_amplitude(slope: ndarray, angle: ndarray) -> tuple[float, float, float, int]:
     """Fit the limit of angle/slope as slope -> 0.
 
     Parameters
@@ -57,18 +56,30 @@ def linear_amplitude(
     balance slope angle ~ ratio angle^2 + angle^4 has no term between.
     """
     y = np.log(angle / slope)
-    near = np.abs(y - y[0]) < 0.02
-    last = int(np.argmin(near)) if not near.all() else len(y)
-    # Many slopes may lie within 2 % of any law.
-    if last < 4 or abs(y[last - 1] - y[0]) > _LINEAR * math.log(
-        slope[last - 1] / slope[0]
-    ):
-        return math.nan, math.nan, math.nan, last
-    design = np.stack([np.ones(last), (slope[:last] / slope[last - 1]) ** 2], axis=1)
-    solution, residual, _, _ = np.linalg.lstsq(design, y[:last], rcond=None)
-    scatter = math.sqrt(residual[0] / (last - 2)) if len(residual) else 0.0
-    error = scatter * math.sqrt(np.linalg.inv(design.T @ design)[0, 0])
-    return float(np.exp(solution[0])), error, float(slope[last - 1]), last
+    is_far = ~(np.abs(y - y[0]) < 0.02)
+    n = int(np.argmax(is_far)) if is_far.any() else len(y)
+    if n < 4 or not _is_linear(slope[:n], y[:n]):
+        return math.nan, math.nan, math.nan, n
+
+    largest = slope[n - 1]
+
+    squares = (slope[:n] / largest) ** 2
+    design = np.stack([np.ones(n), squares], axis=1)
+    solution, residual, _, _ = np.linalg.lstsq(design, y[:n], rcond=None)
+    scatter = 0.0
+    if len(residual):
+        scatter = math.sqrt(residual[0] / (n - 2))
+    covariance = np.linalg.inv(design.T @ design)
+    error = scatter * math.sqrt(covariance[0, 0])
+    return float(np.exp(solution[0])), error, float(largest), n
+
+
+def _is_linear(slope: ndarray, y: ndarray) -> bool:
+    """Whether ln(angle/slope) is all but constant: many slopes may lie within 2 % of any
+    law.
+    """
+    change = abs(y[-1] - y[0])
+    return not change > _LINEAR * math.log(slope[-1] / slope[0])
 
 
 def crossing(linear: float, cube_root: float) -> float:
@@ -101,7 +112,11 @@ class FittedLines:
     cube_root: float = math.nan
 
 
-def fitted_lines(slope: np.ndarray, angle: np.ndarray, expected: float) -> FittedLines:
+def fitted_lines(
+    slope: ndarray,
+    angle: ndarray,
+    expected: float,
+) -> FittedLines:
     """Fit the two straight lines of figure 5 of the paper and let them cross.
 
     Parameters
@@ -122,6 +137,8 @@ def fitted_lines(slope: np.ndarray, angle: np.ndarray, expected: float) -> Fitte
     above = slope > high
     if lower is None or above.sum() < 3:
         return FittedLines(math.nan, low, high)
-    upper = float(np.exp(np.mean(np.log(angle[above]) - np.log(slope[above]) / 3)))
+
+    over_cube_root = np.log(angle[above]) - np.log(slope[above]) / 3
+    upper = float(np.exp(np.mean(over_cube_root)))
     crossing = (upper / lower.amplitude) ** (1 / (lower.exponent - 1 / 3))
     return FittedLines(crossing, low, high, lower.exponent, lower.amplitude, upper)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.contract.kinds import KINDS
 from gaitsweep.tasks.mechanics.sums import norm, polynomial
@@ -17,7 +18,7 @@ _ROUCHE = 1.25
 _SIMPLE = 1e-3
 
 
-def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
+def multipliers(jacobian: ndarray, width: int) -> ndarray:
     """Eigenvalues of the step map, largest magnitude first, its exact zeros last.
 
     Parameters
@@ -33,30 +34,33 @@ def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
     ndarray of complex, shape (n, width)
         NaN where the derivative is not finite.
     """
-    m, n = jacobian.shape[0], jacobian.shape[2]
+    m = jacobian.shape[0]
+    n = jacobian.shape[2]
     values = _of_two(jacobian) if m == 2 else _of_any(jacobian)
-    real, imaginary = values.real, values.imag
-    order = np.lexsort((-imaginary, -real, -np.abs(values)), axis=-1)
+    size = np.abs(values)
+    order = np.lexsort((-values.imag, -values.real, -size), axis=-1)
     padded = np.zeros((n, width), complex)
     padded[:, :m] = np.take_along_axis(values, order, axis=1)
     return padded
 
 
 @np.errstate(divide="ignore", invalid="ignore")
-def _of_two(jacobian: np.ndarray) -> np.ndarray:
+def _of_two(jacobian: ndarray) -> ndarray:
     """Eigenvalues (n, 2) of matrices (2, 2, n)."""
     (a, b), (c, d) = jacobian
-    middle, gap = (a + d) / 2, ((a - d) / 2) ** 2 + b * c
+    middle = (a + d) / 2
+    gap = ((a - d) / 2) ** 2 + b * c
     root = np.sqrt(np.abs(gap))
     # The larger root without cancellation, the smaller from the determinant.
     large = middle + np.where(middle < 0, -root, root)
-    small = np.where(large != 0, (a * d - b * c) / large, 0.0)
+    determinant = a * d - b * c
+    small = np.where(large != 0, determinant / large, 0.0)
     first = np.where(gap >= 0, large, middle + 1j * root)
     second = np.where(gap >= 0, small, middle - 1j * root)
     return np.stack([first, second], axis=1)
 
 
-def _of_any(jacobian: np.ndarray) -> np.ndarray:
+def _of_any(jacobian: ndarray) -> ndarray:
     """Eigenvalues (n, m) of matrices (m, m, n); NaN of those that are not finite."""
     matrices = np.moveaxis(jacobian, -1, 0)
     values = np.full(matrices.shape[:2], np.nan, complex)
@@ -65,7 +69,7 @@ def _of_any(jacobian: np.ndarray) -> np.ndarray:
     return values
 
 
-def characteristic(jacobian: np.ndarray, sign: float = -1.0) -> np.ndarray:
+def characteristic(jacobian: ndarray, sign: float = -1.0) -> ndarray:
     """Coefficients of the characteristic polynomial: c of z^m - c_1 z^(m-1) + c_2
     z^(m-2) - ...
 
@@ -95,7 +99,7 @@ def characteristic(jacobian: np.ndarray, sign: float = -1.0) -> np.ndarray:
     return np.stack([a + e + i, minors, determinant])
 
 
-def characteristic_errors(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray:
+def characteristic_errors(jacobian: ndarray, error: ndarray) -> ndarray:
     """Bounds of the errors of the coefficients, for an error of the derivative.
 
     Parameters
@@ -115,15 +119,19 @@ def characteristic_errors(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray
     """
     m = len(jacobian)
     largest = norm(np.concatenate(jacobian)) + error
-    factors = [np.sqrt(2.0), 1.0] if m == 2 else [np.sqrt(3.0), 4.0, 1.0]
-    powers = [np.ones_like(largest), largest, largest * largest][:m]
-    return np.stack(
-        [factor * power * error for factor, power in zip(factors, powers, strict=True)]
-    )
+    if m == 2:
+        of_trace = np.sqrt(2.0) * error
+        of_determinant = largest * error
+        return np.stack([of_trace, of_determinant])
+
+    of_trace = np.sqrt(3.0) * error
+    of_minors = 4.0 * largest * error
+    of_determinant = largest * largest * error
+    return np.stack([of_trace, of_minors, of_determinant])
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-def multiplier_changes(values: np.ndarray, change: np.ndarray) -> np.ndarray:
+def multiplier_changes(values: ndarray, change: ndarray) -> ndarray:
     """How eigenvalues move with the coefficients of the characteristic polynomial, to
     first order.
 
@@ -142,16 +150,29 @@ def multiplier_changes(values: np.ndarray, change: np.ndarray) -> np.ndarray:
     alternating = change * (-1.0) ** np.arange(m)[:, None]
     moved = np.zeros(values.shape, complex)
     for i in range(m):
-        z = values[:, i]
-        gaps = np.array([z - values[:, k] for k in range(m) if k != i])
-        moved[:, i] = polynomial(alternating, z) / math.prod(gaps)
-        moved[~(np.abs(moved[:, i]) < _SIMPLE * np.abs(gaps).min(axis=0)), i] = 0.0
-    moved.imag[values.imag == 0] = 0.0  # which rounds beside a complex pair
+        gaps = _gaps(values[:, :m], i)
+        change_there = polynomial(alternating, values[:, i])
+        by = change_there / math.prod(gaps)
+        nearest = np.abs(gaps).min(axis=0)
+        is_simple = np.abs(by) < _SIMPLE * nearest
+        moved[:, i] = np.where(is_simple, by, 0.0)
+
+    # Beside a complex pair that of a real one rounds.
+    moved.imag[values.imag == 0] = 0.0
     return moved
 
 
+def _gaps(values: ndarray, i: int) -> ndarray:
+    """Differences of the eigenvalue i of (n, m) from all others, shape (m - 1, n)."""
+    gaps = []
+    for k in range(values.shape[1]):
+        if k != i:
+            gaps.append(values[:, i] - values[:, k])
+    return np.array(gaps)
+
+
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-def multiplier_bounds(values: np.ndarray, error: np.ndarray) -> np.ndarray:
+def multiplier_bounds(values: ndarray, error: ndarray) -> ndarray:
     """Bound of the error of every eigenvalue, for errors of the coefficients of the
     characteristic polynomial.
 
@@ -179,19 +200,21 @@ def multiplier_bounds(values: np.ndarray, error: np.ndarray) -> np.ndarray:
     for i in range(m):
         size = np.abs(values[:, i])
         change = polynomial(error, size)
-        gaps = np.array(
-            [np.abs(values[:, i] - values[:, k]) for k in range(m) if k != i]
-        )
+        gaps = np.abs(_gaps(values[:, :m], i))
         radius = _ROUCHE * change / math.prod(gaps)
+
         on_circle = radius * math.prod(gaps - radius)
-        is_simple = (radius < gaps.min(axis=0)) & (
-            on_circle >= polynomial(error, size + radius)
-        )
-        worst = np.fmax(worst, np.where(is_simple, radius, change ** (1 / m)))
-    return np.asarray(worst + np.where(np.isfinite(values[:, 0]), 0.0, np.nan))
+        is_larger = on_circle >= polynomial(error, size + radius)
+        is_simple = (radius < gaps.min(axis=0)) & is_larger
+        of_any = change ** (1 / m)
+        bound = np.where(is_simple, radius, of_any)
+        worst = np.fmax(worst, bound)
+
+    is_known = np.isfinite(values[:, 0])
+    return np.asarray(worst + np.where(is_known, 0.0, np.nan))
 
 
-def other_multipliers(kind: str, jacobian: np.ndarray) -> np.ndarray:
+def other_multipliers(kind: str, jacobian: ndarray) -> ndarray:
     """Return the largest magnitude of the multipliers that do not define a special
     point.
 
@@ -211,7 +234,8 @@ def other_multipliers(kind: str, jacobian: np.ndarray) -> np.ndarray:
     lanes = np.arange(len(values))
     critical = KINDS[kind].critical if kind in KINDS else None
     if isinstance(critical, float):
-        sizes[lanes, np.abs(values - critical).argmin(axis=1)] = 0.0
+        nearest = np.abs(values - critical).argmin(axis=1)
+        sizes[lanes, nearest] = 0.0
     elif critical == "pair":
         turning = np.abs(values.imag)
         pair = np.argsort(-turning, axis=1)[:, :2]

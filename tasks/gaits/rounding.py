@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.gaits.multipliers import characteristic
 from gaitsweep.tasks.mechanics.arrays import (
@@ -19,8 +20,11 @@ from gaitsweep.tasks.step.several_steps import AnyStride
 
 
 def reported(
-    problem: Problem, y: Sections, times: Times, parameters: Parameters
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    problem: Problem,
+    y: Sections,
+    times: Times,
+    parameters: Parameters,
+) -> tuple[ndarray, ndarray, ndarray]:
     """What is reported of gaits: the angle and the rates with which they start, and the
     period.
 
@@ -43,16 +47,19 @@ def reported(
     """
     width = problem.map.start_size
     start = problem.map.start(y, parameters)
-    state, by_y = start[:width], start[width:].reshape(width, -1, y.shape[1])
+    state = start[:width]
+    by_y = start[width:].reshape(width, -1, y.shape[1])
     rows = [0, *range(width // 2, width)]
     values = np.vstack([state[rows], times[-1:]])
-    by_unknowns = np.zeros((len(values), len(y) + len(times), y.shape[1]))
+
+    unknowns = len(y) + len(times)
+    by_unknowns = np.zeros((len(values), unknowns, y.shape[1]))
     by_unknowns[:-1, : by_y.shape[1]] = by_y[rows]
     by_unknowns[-1, -1] = 1.0
     return state, values, by_unknowns
 
 
-def reported_sizes(values: np.ndarray) -> np.ndarray:
+def reported_sizes(values: ndarray) -> ndarray:
     """Scales (o, n) of the errors of what is reported: for rates the largest of them,
     which alone cannot vanish.
     """
@@ -60,19 +67,20 @@ def reported_sizes(values: np.ndarray) -> np.ndarray:
 
 
 def sensitivity(
-    stride: AnyStride, values: np.ndarray, by_unknowns: np.ndarray
-) -> np.ndarray:
+    stride: AnyStride,
+    values: ndarray,
+    by_unknowns: ndarray,
+) -> ndarray:
     """How far relative errors of 1 of image and legs' angles at the strikes move what
     is reported, (o, n).
     """
     residual = residual_sizes(stride.y + stride.newton, len(stride.newton_times))
-    return reported_sizes(values) + matvec(
-        np.abs(by_unknowns), matvec(np.abs(stride.inverse), residual)
-    )
+    moved = matvec(np.abs(stride.inverse), residual)
+    return reported_sizes(values) + matvec(np.abs(by_unknowns), moved)
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-def characteristic_scale(stride: AnyStride) -> np.ndarray:
+def characteristic_scale(stride: AnyStride) -> ndarray:
     """How far a relative error of 1 on the way moves the coefficients of the
     derivative's characteristic polynomial.
 
@@ -88,12 +96,16 @@ def characteristic_scale(stride: AnyStride) -> np.ndarray:
     ndarray, shape (d, n)
         d are the coordinates of a section.
     """
-    m, d, size = len(stride.y), len(stride.jacobian), sizes(stride.y)
+    m = len(stride.y)
+    d = len(stride.jacobian)
+    size = sizes(stride.y)
     relative = stride.jacobian * (size[None, :d] / size[:d, None])
     length = norm(np.concatenate(relative))
-    by_time = norm(np.concatenate(stride.derivative[:m, m:-1] / size[:, None]))
-    slowest = np.abs(stride.closing).min(axis=0) / np.abs(stride.y[0])
     powers = np.cumprod(np.broadcast_to(length, (d, len(length))), axis=0)
+
+    by_times = stride.derivative[:m, m:-1] / size[:, None]
+    by_time = norm(np.concatenate(by_times))
+    slowest = np.abs(stride.closing).min(axis=0) / np.abs(stride.y[0])
     return np.asarray(powers * (1 + by_time / slowest))
 
 
@@ -105,7 +117,7 @@ UNITS = (1.0, 0.75, 1.25, 0.9375)
 _NEIGHBOUR = 1e-11
 
 
-def by_fifteen(y: np.ndarray) -> np.ndarray:
+def by_fifteen(y: ndarray) -> ndarray:
     """Return numbers near others that are exact in each of the units: divisible by
     fifteen, with few bits.
 
@@ -118,13 +130,17 @@ def by_fifteen(y: np.ndarray) -> np.ndarray:
     ndarray, same shape
     """
     mantissa, exponent = np.frexp(y / 15)
-    return np.asarray(15 * np.ldexp(np.rint(np.ldexp(mantissa, 45)), exponent - 45))
+    whole = np.rint(np.ldexp(mantissa, 45))
+    return np.asarray(15 * np.ldexp(whole, exponent - 45))
 
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
 def rounding_std(
-    problem: Problem, w: Unknowns, log_slope: LogSlopes, near: int = 1
-) -> np.ndarray:
+    problem: Problem,
+    w: Unknowns,
+    log_slope: LogSlopes,
+    near: int = 1,
+) -> ndarray:
     """Standard deviation that rounding gives angle, rates and period of a fixed point,
     over their `sensitivity`.
 
@@ -155,15 +171,17 @@ def rounding_std(
         moved[0] += _NEIGHBOUR * neighbour
         variances.append(_variance(problem, moved, np.exp(log_slope)))
     known = np.isfinite(variances)
-    return np.sqrt(total(np.where(known, variances, 0.0)) / known.sum(axis=0))
+    summed = total(np.where(known, variances, 0.0))
+    return np.sqrt(summed / known.sum(axis=0))
 
 
-def _variance(problem: Problem, w: Unknowns, slope: Slopes) -> np.ndarray:
+def _variance(problem: Problem, w: Unknowns, slope: Slopes) -> ndarray:
     """Variances of what `rounding_std` measures, at one state of each gait."""
     m = problem.m
     angle = np.exp(w[0])
     power = scale_of(angle)
-    y = by_fifteen(np.vstack([angle, angle * w[1:m]]) / power)
+    section = np.vstack([angle, angle * w[1:m]])
+    y = by_fifteen(section / power)
     found = []
     for unit in UNITS:
         parameters = problem.parameters(slope, power * unit)
@@ -173,17 +191,23 @@ def _variance(problem: Problem, w: Unknowns, slope: Slopes) -> np.ndarray:
             problem, at_gait, stride.newton_times, parameters
         )
         coefficients = characteristic(stride.jacobian)
-        found.append(np.vstack([values[:-1] * unit, values[-1:], coefficients]))
+        found.append(_in_units(values, unit, coefficients))
 
     off = found - total(found) / len(UNITS)
     # The sensitivity is the same in all units but for rounding: the last serves.
     by_image = sensitivity(stride, values, by_unknowns)
     of_coefficients = characteristic_scale(stride)
-    scale = np.vstack([by_image[:-1] * unit, by_image[-1:], of_coefficients])
-    return np.asarray(total(off * off) / (len(UNITS) - 1) / scale**2)
+    scale = _in_units(by_image, unit, of_coefficients)
+    variance = total(off * off) / (len(UNITS) - 1)
+    return np.asarray(variance / scale**2)
 
 
-def rounding(stride: AnyStride) -> np.ndarray:
+def _in_units(values: ndarray, unit: float, coefficients: ndarray) -> ndarray:
+    """Angle and rates in a unit, the period, and coefficients below them."""
+    return np.vstack([values[:-1] * unit, values[-1:], coefficients])
+
+
+def rounding(stride: AnyStride) -> ndarray:
     """Estimate how far rounding of the step map alone can move the fixed point,
     relative to `sizes`.
 
@@ -207,7 +231,8 @@ def rounding(stride: AnyStride) -> np.ndarray:
     # Off balance, a short step has rates that far exceed its section's; their rounding
     # accumulates on the way. Where a strike is tangential to the last digit neither the
     # image nor the rates are corrected.
-    one, n = stride.one, size.shape[1]
+    one = stride.one
+    n = size.shape[1]
     impact = np.where(np.isfinite(one.impact), np.abs(one.impact), 0.0)
     at_impact = impact.reshape(-1, n).max(axis=0)
     at_start = np.abs(one.start).reshape(-1, n).max(axis=0)

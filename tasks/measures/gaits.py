@@ -154,34 +154,42 @@ def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
     n = len(out["status"])
     angle, ratio = np.full((2, len(parts), n), np.nan)
     for k, part in enumerate(parts):
-        angle[k, part.index], ratio[k, part.index] = part.angle, part.ratio
-    is_wanted = np.array(
-        [gait in wanted for gait in GAITS] + [False]
-    )  # there may be more gaits than labels
+        angle[k, part.index] = part.angle
+        ratio[k, part.index] = part.ratio
+
     place_of_part = places(angle, ratio)
+    # There may be more gaits than labels.
+    is_wanted = np.array([gait in wanted for gait in GAITS] + [False])
     for part, place in zip(parts, place_of_part, strict=True):
         slot = np.minimum(place[part.index], len(GAITS))
         keep = np.flatnonzero((slot >= 0) & is_wanted[slot])
-        row, slot = part.index[keep], slot[keep]
-        where: tuple[Any, Any] = (row, slot)
-        if (
-            len(row)
-            and row[-1] - row[0] == len(row) - 1
-            and (slot == slot[0]).all()
-            and (np.diff(row) == 1).all()
-        ):
-            where = slice(row[0], row[-1] + 1), slot[0]  # several times as fast
-        for name, values in out.items():
-            if name not in part.solved:
-                raise LookupError(f"Nothing computes the variable `{name}`.")
-            solved = part.solved[name]
-            values[where] = solved if len(keep) == len(solved) else solved[keep]
+        _store_some(out, part, keep, slot[keep])
 
     last = len(GAITS) - 1
-    has_more = (place_of_part > last).any(axis=0) & (
-        out["status"][:, last] == status.CONVERGED
-    )
+    is_last = out["status"][:, last] == status.CONVERGED
+    has_more = (place_of_part > last).any(axis=0) & is_last
     out["reason"][has_more, last] = status.UNLABELLED
+
+
+def _store_some(out: Arrays, part: Part, keep: np.ndarray, slot: np.ndarray) -> None:
+    """Store those gaits of a part that are numbered in `keep`, each in a slot."""
+    where = _as_slices(part.index[keep], slot)
+    for name, values in out.items():
+        if name not in part.solved:
+            raise LookupError(f"Nothing computes the variable `{name}`.")
+        solved = part.solved[name]
+        values[where] = solved if len(keep) == len(solved) else solved[keep]
+
+
+def _as_slices(row: np.ndarray, slot: np.ndarray) -> tuple[Any, Any]:
+    """Indices of some rows and slots; of successive rows of one slot those that store
+    several times as fast.
+    """
+    if not len(row) or row[-1] - row[0] != len(row) - 1:
+        return row, slot
+    if (slot != slot[0]).any() or (np.diff(row) != 1).any():
+        return row, slot
+    return slice(row[0], row[-1] + 1), slot[0]
 
 
 def to_accuracy(out: Arrays, accuracy: float) -> None:
@@ -198,35 +206,20 @@ def to_accuracy(out: Arrays, accuracy: float) -> None:
     """
     if not accuracy:
         return
-    # Labels that no gait has need no rounding.
-    used = slice(
-        1
-        + int(
-            np.flatnonzero(np.isin(out["status"], status.SOLVED).any(axis=0)).max(
-                initial=0
-            )
-        )
-    )
-    out = {name: values[:, used] for name, values in out.items()}
+    out = _of_used_labels(out)
     bits = significant_bits(accuracy)
     unit = 0.5 ** (bits + 1) if bits < MANTISSA else 0.0
     bound = out["error_bound"] + unit
+
     coarse = (out["status"] == status.CONVERGED) & (bound > accuracy)
     out["status"][coarse] = status.LESS_ACCURATE
     out["reason"][coarse] = status.TOO_COARSE
     for name, values in out.items():
         if name == "error_bound":
-            values[:] = np.where(
-                coarse, _round_up(bound), np.minimum(_round_up(bound), accuracy)
-            )
+            rounded = _round_up(bound)
+            values[:] = np.where(coarse, rounded, np.minimum(rounded, accuracy))
         elif name == "multiplier_error_bound":
-            names = ("multiplier_real", "multiplier_imag", "spectral_radius")
-            sizes = [
-                np.abs(out[k]).reshape(*values.shape, -1).max(axis=-1)
-                for k in names
-                if k in out
-            ]
-            largest = sum(sizes, np.zeros(values.shape))
+            largest = _largest_multipliers(out, values.shape)
             values[:] = _round_up(values + 2 * unit * largest)
         elif values.dtype == float:
             rounded = round_bits(values, bits)
@@ -234,6 +227,23 @@ def to_accuracy(out: Arrays, accuracy: float) -> None:
                 # Rounding makes no stable gait unstable.
                 rounded = np.where(values < 1, np.minimum(rounded, 1 - unit), rounded)
             values[:] = rounded
+
+
+def _of_used_labels(out: Arrays) -> Arrays:
+    """Views of the labels up to the last that a gait has: others need no rounding."""
+    has_gait = np.isin(out["status"], status.SOLVED).any(axis=0)
+    last = int(np.flatnonzero(has_gait).max(initial=0))
+    return {name: values[:, : last + 1] for name, values in out.items()}
+
+
+def _largest_multipliers(out: Arrays, shape: tuple[int, ...]) -> np.ndarray:
+    """Sum of the largest sizes of what is known of each gait's multipliers."""
+    largest = np.zeros(shape)
+    for name in ("multiplier_real", "multiplier_imag", "spectral_radius"):
+        if name in out:
+            sizes = np.abs(out[name]).reshape(*shape, -1)
+            largest = largest + sizes.max(axis=-1)
+    return largest
 
 
 def _round_up(values: np.ndarray) -> np.ndarray:

@@ -7,6 +7,8 @@ be of order angle^4.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from gaitsweep.tasks.measures.drive import PushOff
@@ -21,7 +23,9 @@ from gaitsweep.tasks.walkers.walker import Walker
 
 
 def velocity_ratio(
-    walker: Walker, angle: np.ndarray, rate_ratio: np.ndarray
+    walker: Walker,
+    angle: np.ndarray,
+    rate_ratio: np.ndarray,
 ) -> np.ndarray:
     """Ratio x'/y' of the swing foot's velocities just before heelstrike.
 
@@ -42,14 +46,11 @@ def velocity_ratio(
     Paper, equation 12 with the sign of its first line corrected. Over that size, x' = (R + l cos angle) u and
     y' = -l sin angle (2 - u).
     """
-    with np.errstate(
-        divide="ignore", invalid="ignore"
-    ):  # the legs may stand, or the foot move along the ground
-        return (
-            (walker.R + walker.l * np.cos(angle))
-            * rate_ratio
-            / (walker.l * np.sin(angle) * (rate_ratio - 2))
-        )
+    # The legs may stand, or the foot move along the ground.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = (walker.R + walker.l * np.cos(angle)) * rate_ratio
+        upward = walker.l * np.sin(angle) * (rate_ratio - 2)
+        return along / upward
 
 
 def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:
@@ -78,36 +79,59 @@ def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:
     return _contact_mass(walker, angle).matrix
 
 
-@np.errstate(
-    divide="ignore", invalid="ignore"
-)  # of invalid walkers, which an array may hold, it is NaN
-def _contact_mass(walker: Walker, angle: np.ndarray) -> ApparentMass:
-    """Contact mass of a walker whose legs have mass, over the walker's."""
+class _Link(NamedTuple):
+    """A rigid link: its mass, its centre from the joint above, along the extended leg,
+    and its moment of inertia about that; over the walker's mass and leg.
+    """
+
+    mass: float | np.ndarray
+    centre: complex | np.ndarray
+    inertia: float | np.ndarray
+
+
+def _links(walker: Walker) -> tuple[_Link, _Link, _Link]:
+    """Thigh, shank, and both as one link, as they are with the knee locked."""
     leg, mass = walker.leg, walker.total_mass
-    knee, thigh = walker.knee / leg, walker.thigh_centre / leg
+    knee = walker.knee / leg
+    thigh = walker.thigh_centre / leg
     shank = walker.shank_centre / leg
-    m_t, m_s, m_h = walker.m_t / mass, walker.m_s / mass, walker.m_h / mass
-    I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
-    # A leg whose knee is locked is one link.
+    m_t = walker.m_t / mass
+    m_s = walker.m_s / mass
+    I_t = m_t * (walker.r_t / leg) ** 2
+    I_s = m_s * (walker.r_s / leg) ** 2
+
     m_leg = m_t + m_s
     centre = (m_t * thigh + m_s * (knee + shank)) / m_leg
     I_leg = I_t + I_s + m_t * m_s / m_leg * np.abs(knee + shank - thigh) ** 2
+    return _Link(m_t, thigh, I_t), _Link(m_s, shank, I_s), _Link(m_leg, centre, I_leg)
 
-    new, old = np.exp(1j * angle), np.exp(-1j * angle)
+
+# Of invalid walkers, which an array may hold, it is NaN.
+@np.errstate(divide="ignore", invalid="ignore")
+def _contact_mass(walker: Walker, angle: np.ndarray) -> ApparentMass:
+    """Contact mass of a walker whose legs have mass, over the walker's."""
+    thigh, shank, leg = _links(walker)
+    new = np.exp(1j * angle)
+    old = np.exp(-1j * angle)
     if walker.frees_trailing_knee:
-        at_knee = of_free_link(m_s, shank * old, I_s)
-        at_hip = of_hinged_link(at_knee, -knee * old, m_t, (thigh - knee) * old, I_t)
+        knee = walker.knee / walker.leg
+        at_knee = of_free_link(shank.mass, shank.centre * old, shank.inertia)
+        centre = (thigh.centre - knee) * old
+        at_hip = of_hinged_link(at_knee, -knee * old, thigh.mass, centre, thigh.inertia)
     else:
-        at_hip = of_free_link(m_leg, centre * old, I_leg)
-    contact = -1j * (walker.l / leg * new + walker.R / leg)
-    return of_hinged_link(at_hip.with_point(m_h), contact, m_leg, centre * new, I_leg)
+        at_hip = of_free_link(leg.mass, leg.centre * old, leg.inertia)
+
+    with_hip = at_hip.with_point(walker.m_h / walker.total_mass)
+    contact = -1j * (walker.l / walker.leg * new + walker.R / walker.leg)
+    return of_hinged_link(with_hip, contact, leg.mass, leg.centre * new, leg.inertia)
 
 
 def _to_hip(chain: Chain, angle: np.ndarray) -> np.ndarray:
     """Unit vectors (n, 2) from the contact to the hip, the only direction in which a
     massless leg pushes.
     """
-    x, y = -chain.l * np.sin(angle), chain.R + chain.l * np.cos(angle)
+    x = -chain.l * np.sin(angle)
+    y = chain.R + chain.l * np.cos(angle)
     return np.stack([x, y], axis=-1) / np.hypot(x, y)[..., None]
 
 

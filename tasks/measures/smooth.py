@@ -4,6 +4,7 @@ from them.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -66,16 +67,11 @@ class Smooth:
             for name in optional
             if VARIABLES[name].only_of in ("", *walker.features)
         ]
-        entries = (
-            [f"{i}{j}" for i in range(m) for j in range(m)]
-            if set(want) & set(_MULTIPLIERS)
-            else []
-        )
-        return cls(
-            walker,
-            want,
-            ("stance_angle", *rates, "period", _RATIO, *optional, *entries),
-        )
+        entries = []
+        if set(want) & set(_MULTIPLIERS):
+            entries = [f"{i}{j}" for i, j in itertools.product(range(m), repeat=2)]
+        smooth = ("stance_angle", *rates, "period", _RATIO, *optional, *entries)
+        return cls(walker, want, smooth)
 
     @property
     def entries(self) -> list[str]:

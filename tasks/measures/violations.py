@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy import ndarray
 from numpy.polynomial.polynomial import polyder, polyfromroots, polyval
 
 from gaitsweep.tasks.contract.registry import VARIABLES, VIOLATIONS
@@ -30,16 +31,22 @@ _FURTHER_PEAKS = 2
 #: Samples on either side of one, through which a polynomial locates extremes: its error
 #: is below 1e-13 on common steps.
 _SIDE = 5
-#: Its coefficients, in places over `_SIDE`, by the values there.
-_PLACES = np.arange(-_SIDE, _SIDE + 1.0)
-_POWERS = np.array(
-    [
-        polyfromroots(others := np.delete(_PLACES, k))
-        / np.prod(place - others)
-        * _SIDE ** np.arange(len(_PLACES))
-        for k, place in enumerate(_PLACES)
-    ]
-).T
+
+
+def _powers() -> ndarray:
+    """Coefficients, in places over `_SIDE`, of the polynomials that are one at one of
+    the samples and zero at the others, shape (powers, samples).
+    """
+    places = np.arange(-_SIDE, _SIDE + 1.0)
+    units = _SIDE ** np.arange(len(places))
+    columns = []
+    for k, place in enumerate(places):
+        others = np.delete(places, k)
+        columns.append(polyfromroots(others) / np.prod(place - others) * units)
+    return np.array(columns).T
+
+
+_POWERS = _powers()
 
 
 class _Phase:
@@ -50,26 +57,35 @@ class _Phase:
     def __init__(
         self,
         chain: Chain,
-        samples: np.ndarray,
-        begin: np.ndarray,
-        end: np.ndarray,
-        slope: np.ndarray,
+        samples: ndarray,
+        begin: ndarray,
+        end: ndarray,
+        slope: ndarray,
     ):
         half = samples.shape[1] // 2
-        self.q, self.rate = (
-            np.stack([samples[:, first + i] for i in (0, 0, 1, half - 1)])
-            for first in (0, half)
-        )
+        # Both links of the stance leg move as one, and those of a straight swing leg.
+        links = [0, 0, 1, half - 1]
+        angles = samples[:, :half]
+        rates = samples[:, half:]
+        self.q = np.stack([angles[:, link] for link in links])
+        self.rate = np.stack([rates[:, link] for link in links])
+
         self.time = begin + np.linspace(0, 1, len(samples))[:, None] * (end - begin)
         self.free_knee = half == 3
         self.acceleration = chain.accelerations(
             self.q, self.rate, slope, self.free_knee
         )
 
+    @property
+    def motion(self) -> tuple[ndarray, ndarray, ndarray]:
+        """Angles, rates and accelerations."""
+        return self.q, self.rate, self.acceleration
+
 
 def greatest(
-    x: np.ndarray, among: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+    x: ndarray,
+    among: ndarray | None = None,
+) -> tuple[ndarray, ndarray]:
     """Find the largest value of sampled functions, by a polynomial through the samples
     around each peak.
 
@@ -84,14 +100,14 @@ def greatest(
     value, position : ndarray, shape (n,)
         The position is in intervals from the first sample.
     """
-    lane, border = np.arange(x.shape[1]), np.full((1, x.shape[1]), -np.inf)
-    samples = (
-        np.where(np.isnan(x), -np.inf, x)
-        if among is None
-        else np.where(among, x, -np.inf)
-    )
+    if among is None:
+        among = ~np.isnan(x)
+    samples = np.where(among, x, -np.inf)
+    border = np.full((1, x.shape[1]), -np.inf)
     around = np.concatenate([border, samples, border])
     is_peak = (samples >= around[:-2]) & (samples >= around[2:]) & (samples > -np.inf)
+
+    lane = np.arange(x.shape[1])
     best = np.argmax(samples, axis=0)
     value, position = _peak(x, best)
     # The highest peak may lie between two samples that are lower than another one.
@@ -100,53 +116,52 @@ def greatest(
         best = np.argmax(np.where(is_peak, samples, -np.inf), axis=0)
         other, at = _peak(x, best)
         is_higher = is_peak[best, lane] & (other > value)
-        value, position = (
-            np.where(is_higher, other, value),
-            np.where(is_higher, at, position),
-        )
+        value = np.where(is_higher, other, value)
+        position = np.where(is_higher, at, position)
     return value, position
 
 
-def _through(x: np.ndarray, middle: np.ndarray) -> np.ndarray:
+def _through(x: ndarray, middle: ndarray) -> ndarray:
     """Coefficients of the polynomials through sampled functions around their samples
     `middle`, shape (n,).
     """
     lane = np.arange(x.shape[1])
     values = [x[middle + k, lane] for k in range(-_SIDE, _SIDE + 1)]
-    return np.stack(
-        [
-            total(c * value for c, value in zip(row.tolist(), values, strict=True))
-            for row in _POWERS
-        ]
-    )
+    powers = []
+    for row in _POWERS.tolist():
+        terms = [c * value for c, value in zip(row, values, strict=True)]
+        powers.append(total(terms))
+    return np.stack(powers)
 
 
-def _peak(x: np.ndarray, best: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _peak(x: ndarray, best: ndarray) -> tuple[ndarray, ndarray]:
     """Largest value and its position within an interval of the sample `best`, shape
     (n,), of sampled functions.
     """
     top = len(x) - 1
     middle = np.clip(best, _SIDE, top - _SIDE)
     low, at, high = ((np.clip(best + k, 0, top) - middle) / _SIDE for k in (-1, 0, 1))
-    value, t = x[best, np.arange(x.shape[1])], at
+    value = x[best, np.arange(x.shape[1])]
+    t = at
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         powers = _through(x, middle)
         for _ in range(6):
-            slope, curvature = _polynomial(powers, t, 1), _polynomial(powers, t, 2)
+            slope = _polynomial(powers, t, 1)
+            curvature = _polynomial(powers, t, 2)
             # Uphill in either case: where the polynomial is convex, its greatest value
             # is at an end.
             step = np.where(curvature < 0, -slope / curvature, np.sign(slope))
             t = np.clip(t + np.where(np.isfinite(step), step, 0.0), low, high)
+
         refined = _polynomial(powers, t)
         # At an end the value is that of a sample; only inside can the polynomial exceed
         # the samples.
         is_larger = (refined > value) & (t > low) & (t < high)
-    return np.where(is_larger, refined, value), middle + _SIDE * np.where(
-        is_larger, t, at
-    )
+    place = np.where(is_larger, t, at)
+    return np.where(is_larger, refined, value), middle + _SIDE * place
 
 
-def _passing(chain: Chain, phase: _Phase) -> np.ndarray:
+def _passing(chain: Chain, phase: _Phase) -> ndarray:
     """Greatest depth of a straight swing leg's foot as it passes the stance leg, shape
     (n,) [leg].
 
@@ -156,79 +171,109 @@ def _passing(chain: Chain, phase: _Phase) -> np.ndarray:
     small slopes these lie within one interval of the samples, and the depth is so small
     that only its two factors have digits.
     """
-    apart, lane = phase.q[0] - phase.q[2], np.arange(phase.q.shape[2])
-    i = np.argmax(apart[1:] <= 0, axis=0)
-    middle = np.clip(i, _SIDE, len(apart) - 1 - _SIDE)
-    minus, plus = _through(apart, middle), _through(phase.q[0] + phase.q[2], middle)
+    apart = phase.q[0] - phase.q[2]
+    sum_of_angles = phase.q[0] + phase.q[2]
+    middle, guess = _first_passing(apart)
+    minus = _through(apart, middle)
+    plus = _through(sum_of_angles, middle)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        passes = (
-            i - middle + apart[i, lane] / (apart[i, lane] - apart[i + 1, lane])
-        ) / _SIDE
+        passes = guess
         for _ in range(5):
-            passes = passes - _polynomial(minus, passes) / _polynomial(minus, passes, 1)
+            passes = passes - _step_to_zero(minus, passes)
+
         # Depth 2 l sin((a + b)/2) sin((a - b)/2) is greatest halfway between the zeros,
         # to first order.
-        t = passes - 0.5 * _polynomial(plus, passes) / _polynomial(plus, passes, 1)
+        t = passes - 0.5 * _step_to_zero(plus, passes)
         for _ in range(5):
-            u, v = [[_polynomial(c, t, k) for k in range(3)] for c in (plus, minus)]
-            slope = u[1] * v[0] + u[0] * v[1]
-            t = t - slope / (u[2] * v[0] + 2 * u[1] * v[1] + u[0] * v[2])
-        depth = (
-            2
-            * chain.l
-            * np.sin(_polynomial(plus, t) / 2)
-            * np.sin(_polynomial(minus, t) / 2)
-        )
-        return np.where((_SIDE * np.abs(t - passes) < 1) & (depth > 0), depth, 0.0)
+            t = t - _step_to_extreme(plus, minus, t)
+        of_sum = np.sin(_polynomial(plus, t) / 2)
+        of_difference = np.sin(_polynomial(minus, t) / 2)
+        depth = 2 * chain.l * of_sum * of_difference
+        is_near = _SIDE * np.abs(t - passes) < 1
+        return np.where(is_near & (depth > 0), depth, 0.0)
 
 
-def _polynomial(powers: np.ndarray, t: np.ndarray, order: int = 0) -> np.ndarray:
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def _first_passing(apart: ndarray) -> tuple[ndarray, ndarray]:
+    """Sample in the middle of those around the first zero of an angle that falls, and
+    that zero from there, over `_SIDE` intervals, by a chord.
+    """
+    lane = np.arange(apart.shape[1])
+    i = np.argmax(apart[1:] <= 0, axis=0)
+    middle = np.clip(i, _SIDE, len(apart) - 1 - _SIDE)
+    before = apart[i, lane]
+    after = apart[i + 1, lane]
+    return middle, (i - middle + before / (before - after)) / _SIDE
+
+
+def _step_to_zero(powers: ndarray, t: ndarray) -> ndarray:
+    """Newton's step, backwards, to a zero of a polynomial."""
+    return np.asarray(_polynomial(powers, t) / _polynomial(powers, t, 1))
+
+
+def _step_to_extreme(plus: ndarray, minus: ndarray, t: ndarray) -> ndarray:
+    """Newton's step, backwards, to where a product of two polynomials is extreme."""
+    u, u_t, u_tt = (_polynomial(plus, t, order) for order in range(3))
+    v, v_t, v_tt = (_polynomial(minus, t, order) for order in range(3))
+    slope = u_t * v + u * v_t
+    curvature = u_tt * v + 2 * u_t * v_t + u * v_tt
+    return slope / curvature
+
+
+def _polynomial(powers: ndarray, t: ndarray, order: int = 0) -> ndarray:
     """Values or derivatives of polynomials, one a lane."""
     return np.asarray(polyval(t, polyder(powers, order), tensor=False))
 
 
-def _ratio(force: np.ndarray) -> np.ndarray:
+def _ratio(force: ndarray) -> ndarray:
     """Ratio |tangential|/normal of a force; infinite under contact tension."""
+    otherwise = np.where(np.isnan(force.imag), np.nan, np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(
-            force.imag > 0,
-            np.abs(force.real) / force.imag,
-            np.where(np.isnan(force.imag), np.nan, np.inf),
-        )
+        ratio = np.abs(force.real) / force.imag
+        return np.where(force.imag > 0, ratio, otherwise)
 
 
 def _released(chain: Chain, first: _Phase) -> Arrays:
     """Items 4 to 6: motion of the leg just released."""
-    q, rate = first.q[:, 0], first.rate[:, 0]
+    q = first.q[:, 0]
+    rate = first.rate[:, 0]
     rise = chain.rise(q)
     velocity = total(rise * rate)
     is_still = np.abs(velocity) <= _ROUNDING * total(np.abs(rise * rate))
-    down = (
-        np.where(is_still, chain.lift(q, rate, first.acceleration[:, 0]), velocity) < 0
-    )
+    lift = chain.lift(q, rate, first.acceleration[:, 0])
+    down = np.where(is_still, lift, velocity) < 0
+
     depth = -chain.height(first.q)
     depth[0] = 0.0
     under = np.logical_and.accumulate(depth >= 0, axis=0)
     sinks = np.where(down, np.maximum(greatest(depth, under)[0], 0.0), 0.0)
-    impulse = np.zeros_like(velocity)
+
     # It would act while the knee is still as it is during heelstrike.
+    impulse = np.zeros_like(velocity)
     if not chain.massless:
-        impulse = np.where(
-            ~is_still & (velocity < 0),
-            -velocity / chain.compliance(q, [rise], chain.frees_trailing_knee)[0][0],
-            0.0,
-        )
+        compliance = chain.compliance(q, [rise], chain.frees_trailing_knee)[0][0]
+        is_pushed = ~is_still & (velocity < 0)
+        impulse = np.where(is_pushed, -velocity / compliance, 0.0)
+
     amounts = {"penetration_depth": sinks, "trailing_impulse": impulse}
     if chain.kneed:
-        over = first.q[3] - first.q[2]
-        over[0] = over[-1] = 0.0
-        amounts["hyperextension"] = greatest(over)[0]
+        amounts["hyperextension"] = _hyperextension(first)
     return amounts
 
 
+def _hyperextension(first: _Phase) -> ndarray:
+    """Largest angle by which the knee that is free bends forward."""
+    over = first.q[3] - first.q[2]
+    over[0] = over[-1] = 0.0
+    return greatest(over)[0]
+
+
 def _before_heelstrike(
-    chain: Chain, q: np.ndarray, impact: np.ndarray, push: PushOff | None
-) -> tuple[np.ndarray, np.ndarray]:
+    chain: Chain,
+    q: ndarray,
+    impact: ndarray,
+    push: PushOff | None,
+) -> tuple[ndarray, ndarray]:
     """Rates of the links just before heelstrike, after a push-off, and the velocity,
     complex, of the point that is about to touch the ground (paper, eq. 12 with the sign
     of its first line corrected).
@@ -243,8 +288,11 @@ def _before_heelstrike(
 
 
 def _heelstrike(
-    chain: Chain, first: _Phase, impact: np.ndarray, push: PushOff | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    chain: Chain,
+    first: _Phase,
+    impact: ndarray,
+    push: PushOff | None,
+) -> tuple[ndarray, ndarray, ndarray]:
     """Ground impulse (complex) and angular impulses of the new stance knee's lock on its
     thigh, and of the trailing knee's on its shank, at heelstrike.
 
@@ -253,14 +301,15 @@ def _heelstrike(
     Before heelstrike, the walker moves as the new stance leg's chain with the old rates, translating with the velocity
     of the point that is about to touch the ground.
     """
-    q, after = first.q[:, 0], first.rate[:, 0]
+    q = first.q[:, 0]
+    after = first.rate[:, 0]
     before, translation = _before_heelstrike(chain, q, impact, push)
     ground = chain.momentum(q, after) - chain.momentum(q, before) - translation
     M = chain.matrix(q)
 
     jump = after - before
 
-    def on_link(row: int) -> np.ndarray:
+    def on_link(row: int) -> ndarray:
         lever = 1j * chain.S[row] * np.exp(1j * q[row])
         by_translation = (lever.conj() * translation).real
 
@@ -272,59 +321,72 @@ def _heelstrike(
     return ground, on_thigh, on_shank
 
 
-def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
+def _moving(chain: Chain, phases: list[_Phase], slope: ndarray) -> Arrays:
     """Items 1 to 3 between the impacts."""
-    n = len(slope)
-    least, friction, scuff, clearance = (
-        np.full(n, np.inf),
-        np.zeros(n),
-        np.zeros(n),
-        np.full(n, np.nan),
-    )
-    torque, when = np.full(n, -np.inf), np.zeros(n)
+    amounts = _of_foot(chain, phases) | _of_ground_force(chain, phases, slope)
+    if chain.kneed:
+        amounts |= _of_lock(chain, phases, slope)
+    return amounts
+
+
+def _of_foot(chain: Chain, phases: list[_Phase]) -> Arrays:
+    """Item 1: how deep the swing foot scuffs, and how little it clears the ground."""
+    n = phases[0].q.shape[-1]
+    scuff = np.zeros(n)
+    clearance = np.full(n, np.nan)
     for phase in phases:
-        motion = phase.q, phase.rate, phase.acceleration
-        force = chain.ground_force(*motion, slope)
+        depth = -chain.height(phase.q)
+        # Both feet touch the ground when the step begins and when it ends: the rest is
+        # rounding.
+        if phase is phases[0]:
+            depth[0] = 0.0
+        if phase is phases[-1]:
+            depth[-1] = 0.0
+        scuff = np.maximum(scuff, greatest(depth)[0])
+        clearance = np.fmin(clearance, _least_inside(depth))
+
+        if not chain.kneed:
+            passing = _passing(chain, phase)
+            scuff = np.maximum(scuff, passing)
+            clearance = np.where(passing > 0, np.fmin(clearance, -passing), clearance)
+
+    clearance = np.fmin(clearance, _at_kneestrike(chain, phases))
+    return {"scuff_depth": scuff, "foot_clearance": clearance}
+
+
+def _of_ground_force(chain: Chain, phases: list[_Phase], slope: ndarray) -> Arrays:
+    """Item 2: the least normal force on the stance foot, and the friction that it needs."""
+    least = np.full(len(slope), np.inf)
+    friction = np.zeros(len(slope))
+    for phase in phases:
+        force = chain.ground_force(*phase.motion, slope)
         least = np.minimum(least, -greatest(-force.imag)[0])
+
         pulls = (force.imag <= 0).any(axis=0)
         # With its sign the ratio is smooth where it changes it.
         demand = np.where(pulls, 0.0, force.real / np.where(pulls, 1.0, force.imag))
         largest = np.maximum(greatest(demand)[0], greatest(-demand)[0])
         friction = np.maximum(friction, np.where(pulls, np.inf, largest))
-        depth = -chain.height(phase.q)
-        # Both feet touch the ground when the step begins and when it ends: the rest is
-        # rounding.
-        depth[0] = 0.0 if phase is phases[0] else depth[0]
-        depth[-1] = 0.0 if phase is phases[-1] else depth[-1]
-        scuff = np.maximum(scuff, greatest(depth)[0])
-        clearance = np.fmin(clearance, _least_inside(depth))
-        if not chain.kneed:
-            passing = _passing(chain, phase)
-            scuff = np.maximum(scuff, passing)
-            clearance = np.where(passing > 0, np.fmin(clearance, -passing), clearance)
-            continue
-        worst, position = greatest(-chain.holding(*motion, slope))
+    return {"least_normal_force": least, "friction_demand": friction}
+
+
+def _of_lock(chain: Chain, phases: list[_Phase], slope: ndarray) -> Arrays:
+    """Item 3: the largest torque that would unlock the stance knee, and when."""
+    torque = np.full(len(slope), -np.inf)
+    when = np.zeros(len(slope))
+    for phase in phases:
+        worst, position = greatest(-chain.holding(*phase.motion, slope))
         is_worse = worst > torque
-        begin, end = phase.time[0], phase.time[-1]
         torque = np.where(is_worse, worst, torque)
-        when = np.where(
-            is_worse, begin + position / (len(phase.time) - 1) * (end - begin), when
-        )
-    knee = (
-        {"unlocking_torque": torque, "unlocking_torque_time": when}
-        if chain.kneed
-        else {}
-    )
-    return {
-        "scuff_depth": scuff,
-        "foot_clearance": np.fmin(clearance, _at_kneestrike(chain, phases)),
-        "least_normal_force": least,
-        "friction_demand": friction,
-        **knee,
-    }
+
+        begin = phase.time[0]
+        end = phase.time[-1]
+        time = begin + position / (len(phase.time) - 1) * (end - begin)
+        when = np.where(is_worse, time, when)
+    return {"unlocking_torque": torque, "unlocking_torque_time": when}
 
 
-def _least_inside(depth: np.ndarray) -> np.ndarray:
+def _least_inside(depth: ndarray) -> ndarray:
     """Least height of a foot where it is lowest within a phase, by its sampled depth;
     NaN where it is so nowhere.
     """
@@ -333,21 +395,21 @@ def _least_inside(depth: np.ndarray) -> np.ndarray:
     return np.where(is_low.any(axis=0), -greatest(depth, is_low)[0], np.nan)
 
 
-def _at_kneestrike(chain: Chain, phases: list[_Phase]) -> np.ndarray:
+def _at_kneestrike(chain: Chain, phases: list[_Phase]) -> ndarray:
     """Height of the foot at kneestrike if it falls before and rises after it, else NaN."""
     if not chain.kneed:
         return np.full(phases[0].q.shape[-1], np.nan)
-    before, after = (
-        total(chain.rise(p.q[:, k]) * p.rate[:, k])
-        for p, k in zip(phases, (-1, 0), strict=True)
-    )
-    return np.where((before < 0) & (after > 0), chain.height(phases[1].q[:, 0]), np.nan)
+    free, locked = phases
+    before = total(chain.rise(free.q[:, -1]) * free.rate[:, -1])
+    after = total(chain.rise(locked.q[:, 0]) * locked.rate[:, 0])
+    height = chain.height(locked.q[:, 0])
+    return np.where((before < 0) & (after > 0), height, np.nan)
 
 
 def _impacts(
     chain: Chain,
     phases: list[_Phase],
-    impact: np.ndarray,
+    impact: ndarray,
     push: PushOff | None,
 ) -> Arrays:
     """Items 2 and 3 at the impacts, and what the push-off asks of the ground."""
@@ -361,26 +423,26 @@ def _impacts(
         amounts["friction_demand_push_off"] = _ratio(push.direction)
         amounts["strike_velocity"] = -translation.imag
     if chain.kneed:
-        q, jump = phases[1].q[:, 0], phases[1].rate[:, 0] - phases[0].rate[:, -1]
-        M, ground = chain.matrix(q), chain.momentum(q, jump)
-        amounts |= {
-            "friction_demand_kneestrike": _ratio(ground),
-            "least_normal_impulse": np.minimum(
-                amounts["least_normal_impulse"], ground.imag
-            ),
-            "unlocking_impulse_heelstrike": -lock,
-            "unlocking_impulse_kneestrike": -total(
-                M[THIGH][j] * jump[j] for j in range(4)
-            ),
-        }
+        q = phases[1].q[:, 0]
+        jump = phases[1].rate[:, 0] - phases[0].rate[:, -1]
+        at_knee = chain.momentum(q, jump)
+        least = np.minimum(ground.imag, at_knee.imag)
+        amounts["friction_demand_kneestrike"] = _ratio(at_knee)
+        amounts["least_normal_impulse"] = least
+
+        on_thigh = chain.matrix(q)[THIGH]
+        gained = total(mass * jump[j] for j, mass in enumerate(on_thigh))
+        amounts["unlocking_impulse_heelstrike"] = -lock
+        amounts["unlocking_impulse_kneestrike"] = -gained
     if chain.locks_trailing_knee:
         amounts["unlocking_impulse_trailing"] = trailing_lock
     return amounts
 
 
 def flags(
-    amounts: Mapping[str, np.ndarray], limits: Mapping[str, float] | None = None
-) -> np.ndarray:
+    amounts: Mapping[str, ndarray],
+    limits: Mapping[str, float] | None = None,
+) -> ndarray:
     """Bits of the assumptions that gaits violate by more than their limits.
 
     Parameters
@@ -407,10 +469,10 @@ def flags(
 
 def measure(
     walker: Walker,
-    motion: list[np.ndarray],
-    impact: np.ndarray,
-    times: np.ndarray,
-    slope: np.ndarray,
+    motion: list[ndarray],
+    impact: ndarray,
+    times: ndarray,
+    slope: ndarray,
     limits: Mapping[str, float] | None = None,
     push: PushOff | None = None,
 ) -> Arrays:
@@ -458,24 +520,30 @@ def measure(
         pushed = None if push is None else push.some(lanes)
         with np.errstate(invalid="ignore"):
             phases = [
-                _Phase(chain, m[..., lanes], b[lanes], e[lanes], slope[lanes])
-                for m, b, e in zip(motion, begins, times, strict=True)
+                _Phase(
+                    chain, samples[..., lanes], begin[lanes], end[lanes], slope[lanes]
+                )
+                for samples, begin, end in zip(motion, begins, times, strict=True)
             ]
             amounts = _amounts(chain, phases, impact[:, lanes], slope[lanes], pushed)
-        parts.append(amounts | {"violations": flags(amounts, limits)})
+        amounts["violations"] = flags(amounts, limits)
+        parts.append(amounts)
+
     unit = _units(walker)
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return {
-        name: x if x.dtype == np.int32 else x * unit[VARIABLES[name].kind]
-        for name, x in joined.items()
-    }
+    measured = {}
+    for name in parts[0]:
+        values = np.concatenate([part[name] for part in parts])
+        if name != "violations":
+            values = values * unit[VARIABLES[name].kind]
+        measured[name] = values
+    return measured
 
 
 def _amounts(
     chain: Chain,
     phases: list[_Phase],
-    impact: np.ndarray,
-    slope: np.ndarray,
+    impact: ndarray,
+    slope: ndarray,
     push: PushOff | None,
 ) -> Arrays:
     """Every item of Appendix A, over leg, mass and g."""
@@ -485,7 +553,9 @@ def _amounts(
 
 def _units(walker: Walker) -> dict[str, float]:
     """Unit of each kind of quantity inside the solver, in the walker's units."""
-    length, time, mass = walker.leg, walker.time_unit, walker.total_mass
+    length = walker.leg
+    time = walker.time_unit
+    mass = walker.total_mass
     return {
         "length": length,
         "time": time,

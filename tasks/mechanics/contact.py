@@ -14,9 +14,11 @@ elementwise operations only: this measures motions that are already known.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.walkers.walker import Walker
@@ -35,34 +37,35 @@ class Chain:
     """
 
     def __init__(self, walker: Walker):
-        leg, mass = walker.leg, walker.total_mass
-        self.kneed, self.massless = walker.knees, walker.massless_leg
+        self.kneed = walker.knees
+        self.massless = walker.massless_leg
         self.locks_trailing_knee = walker.locks_trailing_knee
         self.frees_trailing_knee = walker.frees_trailing_knee
-        self.R, self.l = walker.R / leg, walker.l / leg
-        knee = walker.knee / leg
-        thigh = walker.thigh_centre / leg
-        shank = walker.shank_centre / leg
+
+        self.R = walker.R / walker.leg
+        self.l = walker.l / walker.leg
+        knee = walker.knee / walker.leg
         #: Foot centre from the knee, in the frame of the extended leg.
         self.foot = -1j * self.l - knee
         #: From foot centre to foot centre, link by link.
         self.to_foot = (-self.foot, -knee, knee, self.foot)
-        m_t, m_s = walker.m_t / mass, walker.m_s / mass
-        rows = [
-            [shank - self.foot, 0, 0, 0],
-            [-self.foot, thigh - knee, 0, 0],
-            [-self.foot, -knee, 0, 0],
-            [-self.foot, -knee, thigh, 0],
-            [-self.foot, -knee, knee, shank],
-        ]
-        I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
-        shape = np.shape(leg + mass + I_t + I_s + 0 * (knee + thigh + shank))
-        arms = np.array([[np.broadcast_to(arm, shape) for arm in row] for row in rows])
-        masses = np.array(
-            [np.broadcast_to(m, shape) for m in (m_s, m_t, walker.m_h / mass, m_t, m_s)]
-        )
-        #: First moments and products of the arms; a massless leg's own rows are those
-        #: of a shank of unit mass.
+
+        self._weigh(walker, knee)
+        self._drive(walker)
+
+    def _weigh(self, walker: Walker, knee: complex | ndarray) -> None:
+        """Set first moments and products of the arms of the centres of mass."""
+        leg = walker.leg
+        m_t, m_s, m_h = _masses(walker)
+        I_t = m_t * (walker.r_t / leg) ** 2
+        I_s = m_s * (walker.r_s / leg) ** 2
+        rows = _arms(walker, self.foot, knee)
+
+        # Of an array of walkers those constants that all share are numbers.
+        used = [m_t, m_s, m_h, I_t, I_s, *rows[1], *rows[4]]
+        shape = np.broadcast_shapes(*map(np.shape, used))
+        arms = np.stack([_of_shape(shape, row) for row in rows])
+        masses = _of_shape(shape, [m_s, m_t, m_h, m_t, m_s])
         self.S = total(masses[:, None] * arms)
         self.K = total(
             arm.conj()[:, None] * mass * arm
@@ -70,10 +73,12 @@ class Chain:
         )
         for i, inertia in enumerate((I_s, I_t, I_t, I_s)):
             self.K[i, i] += inertia
+
+        #: First moments in the links' own equations of motion: a massless leg's rows are
+        #: those of a shank of unit mass.
         self.S_rows = self.S.copy()
         if self.massless:
             self._take_shank_of_unit_mass(arms[4], walker.r_s / leg)
-        self._drive(walker)
 
     def _drive(self, walker: Walker) -> None:
         """Set what acts between the thighs."""
@@ -83,24 +88,27 @@ class Chain:
         unit: Any = 1.0 / weight_leg
         unit_of_damping = unit / walker.time_unit
         if self.massless:
-            of_leg = [self.K[i, j] for i in (2, 3) for j in (2, 3)]
+            of_leg = self.K[2:, 2:].reshape(4, *self.K.shape[2:])
             unit = unit_of_damping = total(of_leg).real
+
         self.hip_stiffness = walker.hip_stiffness * unit
         self.hip_damping = walker.hip_damping * unit_of_damping
-        self.hip_bias = (
-            walker.hip_stiffness * walker.hip_rest + walker.hip_torque
-        ) * unit
+        at_rest = walker.hip_stiffness * walker.hip_rest
+        self.hip_bias = (at_rest + walker.hip_torque) * unit
 
-    def hip_torque(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    def hip_torque(self, q: ndarray, rate: ndarray) -> ndarray:
         """Torque between the thighs, on the swing leg; of a massless one over its
         inertia.
         """
-        between, opening = q[2] - q[THIGH], rate[2] - rate[THIGH]
+        between = q[2] - q[THIGH]
+        opening = rate[2] - rate[THIGH]
         of_spring = self.hip_stiffness * between
         return self.hip_bias - of_spring - self.hip_damping * opening
 
     def _take_shank_of_unit_mass(
-        self, arms: np.ndarray, radius: float | np.ndarray
+        self,
+        arms: ndarray,
+        radius: float | ndarray,
     ) -> None:
         """Set the rows of the swing leg to those of a shank of unit mass, by the arms of
         its centre, (4, ...), and its radius of gyration.
@@ -113,7 +121,7 @@ class Chain:
         """Links that move as one, by their indices."""
         return [[0, 1], [2], [3]] if free_knee else [[0, 1], [2, 3]]
 
-    def matrix(self, q: np.ndarray) -> list[list[np.ndarray]]:
+    def matrix(self, q: ndarray) -> list[list[ndarray]]:
         """Mass matrix of the four links.
 
         Parameters
@@ -128,6 +136,8 @@ class Chain:
         M = []
         for i in range(4):
             M.append([(self.K[i, j] * e[i].conj() * e[j]).real for j in range(4)])
+
+        # As the stance shank turns, its foot rolls and moves every link along the slope.
         for j in range(4):
             M[0][j] = M[0][j] + self.R * (self.S[j] * e[j]).imag
             M[j][0] = M[j][0] + self.R * (self.S_rows[j] * e[j]).imag
@@ -135,8 +145,11 @@ class Chain:
         return M
 
     def force(
-        self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray
-    ) -> list[np.ndarray]:
+        self,
+        q: ndarray,
+        rate: ndarray,
+        slope: ndarray,
+    ) -> list[ndarray]:
         """Right-hand side f of M q'' = f.
 
         Parameters
@@ -157,9 +170,12 @@ class Chain:
                 rate[j] ** 2 * (self.K[i, j] * e[i].conj() * e[j]).imag
                 for j in range(4)
             )
-            f.append(((1j * self.S_rows[i] * e[i]).conj() * gravity).real + turning)
+            weight = ((1j * self.S_rows[i] * e[i]).conj() * gravity).real
+            f.append(weight + turning)
+
         pull = gravity + total(rate[j] ** 2 * self.S[j] * e[j] for j in range(4))
         f[0] = f[0] - self.R * pull.real
+
         if self.acts:
             torque = self.hip_torque(q, rate)
             f[2] = f[2] + torque
@@ -168,8 +184,12 @@ class Chain:
         return f
 
     def accelerations(
-        self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray, free_knee: bool
-    ) -> np.ndarray:
+        self,
+        q: ndarray,
+        rate: ndarray,
+        slope: ndarray,
+        free_knee: bool,
+    ) -> ndarray:
         """Angular accelerations of the four links with the stance knee locked.
 
         Parameters
@@ -183,14 +203,13 @@ class Chain:
         -------
         ndarray, shape (4, ...) [rad g/leg]
         """
-        f, groups = self.force(q, rate, slope), self.groups(free_knee)
+        f = self.force(q, rate, slope)
+        groups = self.groups(free_knee)
         x = solve(_group(self.matrix(q), groups), _of_groups(f, groups))
-        links = [
-            [acceleration] * len(g) for acceleration, g in zip(x, groups, strict=True)
-        ]
-        return np.concatenate(links)
+        sizes = [len(group) for group in groups]
+        return np.repeat(np.stack(x), sizes, axis=0)
 
-    def momentum(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    def momentum(self, q: ndarray, rate: ndarray) -> ndarray:
         """Linear momentum, complex, over mass and sqrt(leg g).
 
         Parameters
@@ -201,10 +220,9 @@ class Chain:
         -------
         ndarray of complex, shape (...)
         """
-        levers = self.levers(q)
-        return total(rate[j] * levers[j] for j in range(4))
+        return total(rate * self.levers(q))
 
-    def levers(self, q: np.ndarray) -> np.ndarray:
+    def levers(self, q: ndarray) -> ndarray:
         """Linear momentum, complex, that a unit rate of each link gives.
 
         Parameters
@@ -216,20 +234,17 @@ class Chain:
         ndarray of complex, shape (4, ...)
         """
         e = np.exp(1j * q)
-        return np.stack(
-            [
-                1j * self.S[0] * e[0] - self.R,
-                *(1j * self.S[j] * e[j] for j in (1, 2, 3)),
-            ]
-        )
+        levers = [1j * S * own for S, own in zip(self.S, e, strict=True)]
+        levers[0] = levers[0] - self.R
+        return np.stack(levers)
 
     def ground_force(
         self,
-        q: np.ndarray,
-        rate: np.ndarray,
-        acceleration: np.ndarray,
-        slope: np.ndarray,
-    ) -> np.ndarray:
+        q: ndarray,
+        rate: ndarray,
+        acceleration: ndarray,
+        slope: ndarray,
+    ) -> ndarray:
         """Force of the ground on the stance foot, complex, over weight.
 
         Parameters
@@ -249,11 +264,11 @@ class Chain:
 
     def holding(
         self,
-        q: np.ndarray,
-        rate: np.ndarray,
-        acceleration: np.ndarray,
-        slope: np.ndarray,
-    ) -> np.ndarray:
+        q: ndarray,
+        rate: ndarray,
+        acceleration: ndarray,
+        slope: ndarray,
+    ) -> ndarray:
         """Torque of the stance knee's lock on the thigh; negative where no stop could
         give it.
 
@@ -266,12 +281,16 @@ class Chain:
         -------
         ndarray, shape (...) [weight leg]
         """
-        M, f = self.matrix(q), self.force(q, rate, slope)
+        M = self.matrix(q)
+        f = self.force(q, rate, slope)
         return total(M[THIGH][j] * acceleration[j] for j in range(4)) - f[THIGH]
 
     def compliance(
-        self, q: np.ndarray, rows: list[np.ndarray], free_knee: bool
-    ) -> list[list[np.ndarray]]:
+        self,
+        q: ndarray,
+        rows: list[ndarray],
+        free_knee: bool,
+    ) -> list[list[ndarray]]:
         """Rates along some rows for a unit impulse along each, stance knee locked: r
         M^-1 r^T.
 
@@ -297,7 +316,7 @@ class Chain:
             compliance.append([total(np.stack(impulse) * x) for x in responses])
         return compliance
 
-    def height(self, q: np.ndarray) -> np.ndarray:
+    def height(self, q: ndarray) -> ndarray:
         """Height of the swing foot's lowest point over leg, without cancellation for
         short steps.
 
@@ -309,11 +328,13 @@ class Chain:
         -------
         ndarray, shape (...)
         """
-        a, b, c = q[0], q[2], q[3]
+        a = q[0]
+        b = q[2]
+        c = q[3]
         bent = 2 * np.sin((c - b) / 2) * (self.foot * np.exp(0.5j * (b + c))).real
         return -2 * self.l * np.sin((a + b) / 2) * np.sin((a - b) / 2) + bent
 
-    def rise(self, q: np.ndarray) -> np.ndarray:
+    def rise(self, q: ndarray) -> ndarray:
         """Derivative of the swing foot's height by the four angles.
 
         Parameters
@@ -328,8 +349,11 @@ class Chain:
         return np.stack([(arm * e[j]).real for j, arm in enumerate(self.to_foot)])
 
     def lift(
-        self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
-    ) -> np.ndarray:
+        self,
+        q: ndarray,
+        rate: ndarray,
+        acceleration: ndarray,
+    ) -> ndarray:
         """Second derivative of the swing foot's height by time, over g.
 
         Parameters
@@ -347,9 +371,40 @@ class Chain:
         return total(self.rise(q) * acceleration) - turning
 
 
+def _masses(walker: Walker) -> tuple[Any, Any, Any]:
+    """Masses of thigh, shank and hip, over the walker's."""
+    mass = walker.total_mass
+    return walker.m_t / mass, walker.m_s / mass, walker.m_h / mass
+
+
+def _arms(
+    walker: Walker,
+    foot: complex | ndarray,
+    knee: complex | ndarray,
+) -> list[list[Any]]:
+    """Arms, link by link, of the centres of mass of stance shank, stance thigh, hip,
+    swing thigh and swing shank, from the centre of the stance foot.
+    """
+    thigh = walker.thigh_centre / walker.leg
+    shank = walker.shank_centre / walker.leg
+    return [
+        [shank - foot, 0, 0, 0],
+        [-foot, thigh - knee, 0, 0],
+        [-foot, -knee, 0, 0],
+        [-foot, -knee, thigh, 0],
+        [-foot, -knee, knee, shank],
+    ]
+
+
+def _of_shape(shape: tuple[int, ...], values: Sequence[Any]) -> ndarray:
+    """Numbers and arrays as one array, (n, *shape)."""
+    return np.stack([np.broadcast_to(value, shape) for value in values])
+
+
 def _group(
-    M: list[list[np.ndarray]], groups: list[list[int]]
-) -> list[list[np.ndarray]]:
+    M: list[list[ndarray]],
+    groups: list[list[int]],
+) -> list[list[ndarray]]:
     """Matrix of groups of links that move as one."""
     grouped = []
     for g in groups:
@@ -361,13 +416,14 @@ def _group(
 
 
 def _of_groups(
-    values: list[np.ndarray] | np.ndarray, groups: list[list[int]]
-) -> list[np.ndarray]:
+    values: list[ndarray] | ndarray,
+    groups: list[list[int]],
+) -> list[ndarray]:
     """Sums of the links' values over groups that move as one."""
     return [total(values[i] for i in g) for g in groups]
 
 
-def solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
+def solve(A: list[list[ndarray]], b: list[ndarray]) -> list[ndarray]:
     """Solve A x = b elementwise, the first row eliminated last: in a chain that of the
     stance leg, whose coupling to a massless leg is zero.
 
@@ -380,7 +436,8 @@ def solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
     -------
     list of ndarray, shape (...)
     """
-    A, b = [list(row) for row in A], list(b)
+    A = [list(row) for row in A]
+    b = list(b)
     n = len(b)
     for k in reversed(range(1, n)):
         for i in range(k):
@@ -388,7 +445,8 @@ def solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
             b[i] = b[i] - factor * b[k]
             for j in range(k):
                 A[i][j] = A[i][j] - factor * A[k][j]
-    x: list[np.ndarray] = []
+
+    x: list[ndarray] = []
     for i in range(n):
         for j in range(i):
             b[i] = b[i] - A[i][j] * x[j]

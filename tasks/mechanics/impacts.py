@@ -83,20 +83,8 @@ def heelstrike(
     the whole walker about it and of the old stance leg about the hip are conserved.
     That leg becomes the swing leg. A push-off of that leg adds its own momenta first.
     """
-    new = _Leg(p, p.scale * angle)
-    if old_angle is None:
-        old = _Leg(p, -p.scale * angle)
-        swing_angle = -angle
-        cosines = 2.0 * p.R * p.l * new.cosine
-        between = 2.0 * new.angle
-    else:
-        old = _Leg(p, p.scale * old_angle)
-        swing_angle = old_angle
-        cosines = p.R * p.l * (new.cosine + old.cosine)
-        between = new.angle - old.angle
-    # The product of both hips, without cancellation for legs at a wide angle.
-    hips = p.R**2.0 + cosines + p.l**2.0 * hy.cos(between)
-
+    new, old, hips = _on_ground(p, angle, old_angle)
+    swing_angle = -angle if old_angle is None else old_angle
     S, J = p.locked()
     swing = [(S, J)]
     angles = [angle, swing_angle]
@@ -116,9 +104,28 @@ def heelstrike(
     return Solver(M)(_pushed(momentum, p, new, old))
 
 
+def _on_ground(p: Symbols, angle: Sym, old_angle: Sym | None) -> tuple[_Leg, _Leg, Sym]:
+    """The new and the old stance leg, and the product of their hips, without
+    cancellation for legs at a wide angle.
+    """
+    new = _Leg(p, p.scale * angle)
+    if old_angle is None:
+        old = _Leg(p, -p.scale * angle)
+        cosines = 2.0 * p.R * p.l * new.cosine
+        between = 2.0 * new.angle
+    else:
+        old = _Leg(p, p.scale * old_angle)
+        cosines = p.R * p.l * (new.cosine + old.cosine)
+        between = new.angle - old.angle
+    hips = p.R**2.0 + cosines + p.l**2.0 * hy.cos(between)
+    return new, old, hips
+
+
 def _links(p: Symbols) -> list[tuple[Vector, Sym]]:
     """First moments of thigh and shank, and inertias with which both turn together."""
-    return [(p.S_b, p.C_bb + p.H.x), (p.S_c, p.C_cc + p.H.x)]
+    thigh = (p.S_b, p.C_bb + p.H.x)
+    shank = (p.S_c, p.C_cc + p.H.x)
+    return [thigh, shank]
 
 
 def _pushed(momentum: list[Sym], p: Symbols, new: _Leg, old: _Leg) -> list[Sym]:
@@ -162,7 +169,11 @@ class _Leg:
         return S.rotate(self.sine, self.cosine).normal()
 
 
-def kneestrike(p: Symbols, q: list[Sym], rate: list[Sym]) -> list[Sym]:
+def kneestrike(
+    p: Symbols,
+    q: list[Sym],
+    rate: list[Sym],
+) -> list[Sym]:
     """Rates of the stance and the locked swing leg just after kneestrike.
 
     Parameters

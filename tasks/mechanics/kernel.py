@@ -355,11 +355,10 @@ class CompiledFunction:
         n).
         """
         began = time.process_time()
-        values: np.ndarray = (
-            self._function(inputs)
-            if outputs is None
-            else self._function(inputs, outputs=outputs)
-        )
+        if outputs is None:
+            values: np.ndarray = self._function(inputs)
+        else:
+            values = self._function(inputs, outputs=outputs)
         CompiledFunction.seconds += time.process_time() - began
         return values
 

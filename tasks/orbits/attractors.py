@@ -9,14 +9,17 @@ import itertools
 from collections.abc import Mapping
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.mechanics.sums import matvec, norm
 from gaitsweep.tasks.orbits.walk import Walk, change
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.step.simulate import CAUSES, STRUCK, stride
+from gaitsweep.tasks.step.simulate import CAUSES, STRUCK, SimulatedSteps, stride
 
 #: Longest period identified, and the name of an orbit with none up to it.
 LONGEST_PERIOD, WALKS_ON = 32, "walks on"
+#: What an orbit is called that repeats after 1, 2, … steps.
+_PERIODS = np.array([f"period {p}" for p in range(1, LONGEST_PERIOD + 1)])
 #: Relative change after a period up to which an orbit no longer changes, and up to
 #: which it repeats if it changes so little after twice the period too.
 _AT_REST, _REPEATS = 1e-11, 1e-5
@@ -46,59 +49,67 @@ class Neighbourhoods:
     slope : ndarray, shape (n,) [rad]
     """
 
-    def __init__(self, problem: Problem, y: np.ndarray, slope: np.ndarray):
+    def __init__(self, problem: Problem, y: ndarray, slope: ndarray):
         m, n = y.shape
-        self.y, self.radius = y, np.zeros(n)
+        self.y = y
+        self.radius = np.zeros(n)
         self._coordinates = np.full((m, m, n), np.nan, complex)
-        at = stride(problem, y, slope)
-        lanes = np.flatnonzero(at.outcome == STRUCK)
-        values, vectors = np.linalg.eig(np.moveaxis(at.jacobian[:, :, lanes], -1, 0))
-        radius = np.abs(values).max(axis=1)
-        good = (radius < 1) & (np.abs(np.linalg.det(vectors)) > _MIN_VOLUME)
-        lanes, radius, values = lanes[good], radius[good], values[good]
-        vectors = vectors[good] * norm(y[:, lanes])[:, None, None]
-        self._coordinates[:, :, lanes] = np.moveaxis(np.linalg.inv(vectors), 0, -1)
-        # Real and imaginary part stand for the vectors of a pair.
-        real = np.where(values.imag[:, None] >= 0, vectors.real, vectors.imag)
-        sums = np.array(list(itertools.product((0, 1), repeat=m))[1:])
-        off = _NEAR * matvec(
-            real.transpose(1, 2, 0)[:, :, None], sums.T[..., None]
-        ).swapaxes(1, 2).reshape(m, -1)
-        each = np.repeat(lanes, len(sums))
-        image = stride(
-            problem.some(each), y[:, each] + off, slope[each], exact=False
-        ).image
-        rest = image - at.image[:, each] - matvec(at.jacobian[:, :, each], off)
-        curvature = (
-            (self._size(rest, each) / self._size(off, each) ** 2)
-            .reshape(-1, len(sums))
-            .max(axis=1)
-        )
-        self.radius[lanes] = np.minimum(
-            np.nan_to_num(0.5 * (1 - radius) / (_SAFETY * curvature)), _NEAR
-        )
 
-    def some(self, lanes: np.ndarray) -> Neighbourhoods:
+        at = stride(problem, y, slope)
+        lanes, values, vectors = _capturing(at)
+        vectors = vectors * norm(y[:, lanes])[:, None, None]
+        inverse = np.linalg.inv(vectors)
+        self._coordinates[:, :, lanes] = np.moveaxis(inverse, 0, -1)
+        off = _sums_of_eigenvectors(values, vectors)
+        curvature = self._curvature(problem, at, slope, lanes, off)
+
+        radius = np.abs(values).max(axis=1)
+        shortened = 0.5 * (1 - radius) / (_SAFETY * curvature)
+        self.radius[lanes] = np.minimum(np.nan_to_num(shortened), _NEAR)
+
+    def _curvature(
+        self,
+        problem: Problem,
+        at: SimulatedSteps,
+        slope: ndarray,
+        lanes: ndarray,
+        off: ndarray,
+    ) -> ndarray:
+        """Curvature of the step map at the gaits of some lanes (k,): the largest over
+        deviations from each, shape (m, k, deviations), by the step `at` it.
+        """
+        m, k, count = off.shape
+        off = off.reshape(m, -1)
+        each = np.repeat(lanes, count)
+        start = self.y[:, each] + off
+        image = stride(problem.some(each), start, slope[each], exact=False).image
+
+        rest = image - at.image[:, each] - matvec(at.jacobian[:, :, each], off)
+        ratio = self._size(rest, each) / self._size(off, each) ** 2
+        return np.asarray(ratio.reshape(k, count).max(axis=1))
+
+    def some(self, lanes: ndarray) -> Neighbourhoods:
         """Return those of some lanes (k,)."""
         some = copy.copy(self)
-        some.y, some.radius = self.y[:, lanes], self.radius[lanes]
+        some.y = self.y[:, lanes]
+        some.radius = self.radius[lanes]
         some._coordinates = self._coordinates[:, :, lanes]
         return some
 
-    def hold(self, y: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+    def hold(self, y: ndarray, lanes: ndarray) -> ndarray:
         """Whether states (m, k) of some lanes (k,) lie in them."""
         return self._distance(y, lanes) < self.radius[lanes]
 
-    def lie_near(self, y: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+    def lie_near(self, y: ndarray, lanes: ndarray) -> ndarray:
         """Whether states (m, k) of some lanes (k,) lie as near to stable gaits as any
         neighbourhood extends.
         """
         return self._distance(y, lanes) < _NEAR
 
-    def _distance(self, y: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+    def _distance(self, y: ndarray, lanes: ndarray) -> ndarray:
         return self._size(y - self.y[:, lanes], lanes)
 
-    def _size(self, off: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+    def _size(self, off: ndarray, lanes: ndarray) -> ndarray:
         """Largest coordinate of deviations (m, k) along the eigenvectors of some lanes
         (k,).
         """
@@ -107,9 +118,41 @@ class Neighbourhoods:
         )
 
 
+def _capturing(at: SimulatedSteps) -> tuple[ndarray, ndarray, ndarray]:
+    """Gaits that capture orbits, by a step at each.
+
+    Returns
+    -------
+    lanes : ndarray of int, shape (k,)
+    values, vectors : ndarray, shape (k, m) and (k, m, m)
+        Eigenvalues and eigenvectors of the step map's derivative.
+    """
+    lanes = np.flatnonzero(at.outcome == STRUCK)
+    jacobian = at.jacobian[:, :, lanes]
+    values, vectors = np.linalg.eig(np.moveaxis(jacobian, -1, 0))
+    radius = np.abs(values).max(axis=1)
+    volume = np.abs(np.linalg.det(vectors))
+    captures = (radius < 1) & (volume > _MIN_VOLUME)
+    return lanes[captures], values[captures], vectors[captures]
+
+
+def _sums_of_eigenvectors(values: ndarray, vectors: ndarray) -> ndarray:
+    """Deviations along the sums of some of the eigenvectors, shape (m, k, 2^m - 1), from
+    eigenvalues (k, m) and eigenvectors (k, m, m).
+    """
+    m = values.shape[1]
+    # Real and imaginary part stand for the vectors of a pair.
+    real = np.where(values.imag[:, None] >= 0, vectors.real, vectors.imag)
+    some = np.array(list(itertools.product((0, 1), repeat=m))[1:])
+    sums = matvec(real.transpose(1, 2, 0)[:, :, None], some.T[..., None])
+    return np.asarray(_NEAR * sums.swapaxes(1, 2))
+
+
 def attractors(
-    walk: Walk, homes: Mapping[str, Neighbourhoods], steps: int
-) -> np.ndarray:
+    walk: Walk,
+    homes: Mapping[str, Neighbourhoods],
+    steps: int,
+) -> ndarray:
     """Find the attractor of each orbit.
 
     Parameters
@@ -128,36 +171,74 @@ def attractors(
         A name of `homes`, `period k` with k up to LONGEST_PERIOD, WALKS_ON for all that
         repeats less often, or how the walker fell.
     """
-    n = walk.y.shape[1]
-    found = np.full(n, WALKS_ON, "U24")
-    names = np.array([f"period {p}" for p in range(1, LONGEST_PERIOD + 1)])
-    seen, seen_at, period = walk.y.copy(), 0, np.zeros(n, int)
+    found = np.full(walk.y.shape[1], WALKS_ON, "U24")
+    repetition = _Repetition(walk, steps)
     for taken in walk.steps(steps + 2 * LONGEST_PERIOD):
-        lanes, elapsed = walk.lanes, taken - seen_at
-        y = walk.y[:, lanes]
-        moved = change(seen[:, lanes], y)
-        if elapsed <= LONGEST_PERIOD:
-            # Beside a flip an orbit alternates while it settles: after twice its period
-            # it is at rest much sooner.
-            period[lanes[(moved < _REPEATS) & (period[lanes] == 0)]] = elapsed
-        repeats = (taken > steps) & (moved < _REPEATS) & (elapsed == 2 * period[lanes])
-        known = (period[lanes] > 0) & (repeats | (moved < _AT_REST))
-        found[lanes[known]] = names[period[lanes[known]] - 1]
+        lanes = walk.lanes
+        known = repetition.is_known(taken)
+        periods = repetition.period[lanes[known]]
+        found[lanes[known]] = _PERIODS[periods - 1]
+
         for name, home in homes.items():
-            held = home.hold(y, lanes)
+            held = home.hold(walk.y[:, lanes], lanes)
             found[lanes[held]] = name
             known |= held
+
         walk.lanes = lanes[~known]
-        if taken == steps or (taken < steps and elapsed == LONGEST_PERIOD):
-            seen, seen_at, period = walk.y.copy(), taken, np.zeros(n, int)
-    for (
-        name,
-        home,
-    ) in (
-        homes.items()
-    ):  # beside a flip a neighbourhood may be too small to hold what settles there
-        single = np.flatnonzero(found == names[0])
-        found[single[home.lie_near(walk.y[:, single], single)]] = name
+        repetition.renew(taken)
+
+    # Beside a flip a neighbourhood may be too small to hold what settles there.
+    for name, home in homes.items():
+        single = np.flatnonzero(found == _PERIODS[0])
+        is_near = home.lie_near(walk.y[:, single], single)
+        found[single[is_near]] = name
+
     fell = walk.outcome != STRUCK
     found[fell] = np.array(CAUSES)[walk.outcome[fell]]
     return found
+
+
+class _Repetition:
+    """With which period orbits repeat a state, which is seen anew after every
+    LONGEST_PERIOD steps.
+
+    Attributes
+    ----------
+    period : ndarray of int, shape (n,)
+        Steps after which each first came near its state again; 0 where it has not.
+    """
+
+    def __init__(self, walk: Walk, steps: int):
+        self._walk = walk
+        self._steps = steps
+        self._see(0)
+
+    def _see(self, taken: int) -> None:
+        """Take the states after so many steps for those to come near again."""
+        self._seen = self._walk.y.copy()
+        self._seen_at = taken
+        self.period = np.zeros(self._seen.shape[1], int)
+
+    def is_known(self, taken: int) -> ndarray:
+        """Whether the period of those that walk on is known, shape (k,)."""
+        lanes = self._walk.lanes
+        elapsed = taken - self._seen_at
+        moved = change(self._seen[:, lanes], self._walk.y[:, lanes])
+        if elapsed <= LONGEST_PERIOD:
+            # Beside a flip an orbit alternates while it settles: after twice its period
+            # it is at rest much sooner.
+            is_first = self.period[lanes] == 0
+            self.period[lanes[(moved < _REPEATS) & is_first]] = elapsed
+
+        period = self.period[lanes]
+        is_twice = elapsed == 2 * period
+        repeats = (taken > self._steps) & (moved < _REPEATS) & is_twice
+        return (period > 0) & (repeats | (moved < _AT_REST))
+
+    def renew(self, taken: int) -> None:
+        """See the states anew, if it is time for that; a last time after all steps
+        before the period is told of orbits that still change.
+        """
+        is_due = taken - self._seen_at == LONGEST_PERIOD
+        if taken == self._steps or (taken < self._steps and is_due):
+            self._see(taken)

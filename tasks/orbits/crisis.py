@@ -12,6 +12,7 @@ some do not at its upper slope.
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.orbits.walk import Walk, change
 from gaitsweep.tasks.step.problem import Problem
@@ -28,8 +29,11 @@ _ROUNDS, _AT_ONCE = 3, 4
 
 
 def surviving_slopes(
-    problem: Problem, starts: np.ndarray, slope: np.ndarray, strides: int
-) -> np.ndarray:
+    problem: Problem,
+    starts: ndarray,
+    slope: ndarray,
+    strides: int,
+) -> ndarray:
     """Find the slopes at which all orbits that outlast the transient persist and none
     converges to period one.
 
@@ -66,7 +70,11 @@ def surviving_slopes(
 
 
 def lost(
-    problem: Problem, starts: np.ndarray, low: float, high: float, strides: int
+    problem: Problem,
+    starts: ndarray,
+    low: float,
+    high: float,
+    strides: int,
 ) -> tuple[float, float]:
     """Bracket the slope at which an attractor is lost.
 
@@ -98,5 +106,6 @@ def lost(
             if survives[-1]:
                 return high, np.nan
         k = int(np.argmin(survives))
-        low, high = float(slope[k - 1]), float(slope[k])
+        low = float(slope[k - 1])
+        high = float(slope[k])
     return low, high

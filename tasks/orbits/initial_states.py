@@ -5,6 +5,7 @@ sequence to distribute states.
 from __future__ import annotations
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.locate import settle_on_branches
@@ -20,7 +21,7 @@ NO_START = "no gait to start from"
 _GOLDEN_RATIO = {2: 1.32471795724474602596, 3: 1.22074408460575947536}
 
 
-def r_sequence(m: int, count: int) -> np.ndarray:
+def r_sequence(m: int, count: int) -> ndarray:
     """Return the first points of a low-discrepancy sequence in the unit cube.
 
     Returns
@@ -38,8 +39,10 @@ def r_sequence(m: int, count: int) -> np.ndarray:
 
 
 def labelled(
-    problem: Problem, branches: list[Branch], slope: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray, Polished]]:
+    problem: Problem,
+    branches: list[Branch],
+    slope: ndarray,
+) -> list[tuple[ndarray, ndarray, Polished]]:
     """Find a line's gaits at given slopes, piece by piece.
 
     Parameters
@@ -55,30 +58,49 @@ def labelled(
         of the gaits there as `places` has them, -1 where none was found and verified to
         be a step; and these gaits.
     """
-    found, keys = [], []
+    found = []
+    keys = []
     for branch in branches:
         for index, Z, segment in branch.guesses(np.log(slope)):
             guesses = branch.known_guesses(Z, segment, slope[index])
             at = settle_on_branches(problem, guesses, [(problem, branch, segment)])
-            converged, key = at.converged & at.step, np.full((2, len(slope)), np.nan)
-            # As in `points`, one that is lost still counts for the labels of the
-            # others, as its branch's gait.
-            key[0, index] = np.where(~at.step | (at.leg_passes == 1), Z[0], np.nan)
-            key[1, index] = np.where(
-                converged, gait_ratio(at.stride), branch.ratio_on(segment)
-            )
-            found.append((index, converged, at))
+            verified = at.converged & at.step
+            found.append((index, verified, at))
+
+            key = np.full((2, len(slope)), np.nan)
+            key[:, index] = _angles_and_ratios(at, Z, branch.ratio_on(segment))
             keys.append(key)
-    every = places(*np.array(keys).reshape(-1, 2, len(slope)).swapaxes(0, 1))
-    return [
-        (index, np.where(ok, place[index], -1), at)
-        for place, (index, ok, at) in zip(every, found, strict=True)
-    ]
+
+    angles, ratios = np.reshape(keys, (-1, 2, len(slope))).swapaxes(0, 1)
+    parts = []
+    for place, part in zip(places(angles, ratios), found, strict=True):
+        index, verified, at = part
+        parts.append((index, np.where(verified, place[index], -1), at))
+    return parts
+
+
+def _angles_and_ratios(at: Polished, Z: ndarray, ratio: ndarray) -> ndarray:
+    """What labels gaits, shape (2, k), by their branch's points (c, k) and ratios (k,).
+
+    As in `points`, one that is lost still counts for the labels of the others, as its
+    branch's gait.
+    """
+    is_anthropomorphic = ~at.step | (at.leg_passes == 1)
+    verified = at.converged & at.step
+    return np.stack(
+        [
+            np.where(is_anthropomorphic, Z[0], np.nan),
+            np.where(verified, gait_ratio(at.stride), ratio),
+        ]
+    )
 
 
 def gaits_at(
-    problem: Problem, branches: list[Branch], slope: np.ndarray, label: str
-) -> tuple[np.ndarray, np.ndarray]:
+    problem: Problem,
+    branches: list[Branch],
+    slope: ndarray,
+    label: str,
+) -> tuple[ndarray, ndarray]:
     """Find a line's gaits of one label at given slopes.
 
     Parameters
@@ -98,7 +120,8 @@ def gaits_at(
     """
     sections = np.full((problem.m, len(slope)), np.nan)
     for index, place, at in labelled(problem, branches, slope):
-        own = place == GAITS.index(label)
-        sections[:, index[own]] = (at.y * at.scale)[:, own]
+        is_labelled = place == GAITS.index(label)
+        sections[:, index[is_labelled]] = (at.y * at.scale)[:, is_labelled]
+
     known = np.flatnonzero(np.isfinite(sections).all(axis=0))
     return known, sections[:, known]

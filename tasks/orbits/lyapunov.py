@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.mechanics.sums import total
 
 
-def orthogonalised(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def orthogonalised(A: ndarray) -> tuple[ndarray, ndarray]:
     """QR decomposition of many small matrices by the Gram-Schmidt process, applied
     twice.
 
@@ -35,15 +36,18 @@ def orthogonalised(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         for _ in range(2):
             for j in range(k):
                 v = v - _dot(Q[:, j], v) * Q[:, j]
+
         size = np.sqrt(_dot(v, v))
         diagonal[k] = size
         # A direction that the map takes to zero has no image: zero stands for it, and
         # its exponent is minus infinity.
-        Q[:, k] = np.where(size > 0, v / np.where(size > 0, size, 1.0), 0.0)
+        has_image = size > 0
+        divisor = np.where(has_image, size, 1.0)
+        Q[:, k] = np.where(has_image, v / divisor, 0.0)
     return Q, diagonal
 
 
-def _dot(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _dot(u: ndarray, v: ndarray) -> ndarray:
     """Scalar product of every lane."""
     return total(a * b for a, b in zip(u, v, strict=True))
 
@@ -62,22 +66,23 @@ class Exponents:
         Steps of each block.
     """
 
-    Q: np.ndarray
-    blocks: np.ndarray
-    counts: np.ndarray
+    Q: ndarray
+    blocks: ndarray
+    counts: ndarray
 
     @classmethod
     def begin(cls, m: int, n: int, blocks: int) -> Exponents:
         """Begin with all m directions of n lanes, their growth to be summed in so many
         blocks.
         """
+        directions = np.eye(m)[:, :, None]
         return cls(
-            np.repeat(np.eye(m)[:, :, None], n, axis=2),
-            np.zeros((blocks, m, n)),
-            np.zeros(blocks, int),
+            Q=np.repeat(directions, n, axis=2),
+            blocks=np.zeros((blocks, m, n)),
+            counts=np.zeros(blocks, int),
         )
 
-    def step(self, J: np.ndarray, lanes: np.ndarray, block: int | None) -> None:
+    def step(self, J: ndarray, lanes: ndarray, block: int | None) -> None:
         """Map the directions of some lanes by one step.
 
         Parameters
@@ -88,25 +93,26 @@ class Exponents:
         block : int or None
             Block that counts their growth; None while they still converge.
         """
-        self.Q[:, :, lanes], growth = orthogonalised(
-            total(J[:, i : i + 1] * q for i, q in enumerate(self.Q[:, :, lanes]))
-        )
+        Q = self.Q[:, :, lanes]
+        image = total(J[:, i : i + 1] * q for i, q in enumerate(Q))
+        self.Q[:, :, lanes], growth = orthogonalised(image)
         if block is not None:
             with np.errstate(divide="ignore"):
                 self.blocks[block][:, lanes] += np.log(growth)
             self.counts[block] += 1
 
-    def means(self) -> np.ndarray:
+    def means(self) -> ndarray:
         """Mean growth per step of every block and lane.
 
         Returns
         -------
         ndarray, shape (blocks, m, n)
         """
-        return self.blocks / np.maximum(self.counts, 1)[:, None, None]
+        counts = np.maximum(self.counts, 1)
+        return self.blocks / counts[:, None, None]
 
 
-def estimate(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def estimate(means: ndarray) -> tuple[ndarray, ndarray]:
     """Estimate exponents and their standard errors from means over blocks of orbits of
     one attractor.
 
@@ -124,10 +130,11 @@ def estimate(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     -----
     Blocks are much longer than the correlation time of a chaotic orbit, so their means are independent.
     """
-    flat = np.moveaxis(means, 1, 0).reshape(means.shape[1], -1)
+    m = means.shape[1]
+    flat = np.moveaxis(means, 1, 0).reshape(m, -1)
     count = flat.shape[1]
+    deviation = np.full(len(flat), np.nan)
     with np.errstate(invalid="ignore"):
-        deviation = (
-            np.std(flat, axis=1, ddof=1) if count > 1 else np.full(len(flat), np.nan)
-        )
+        if count > 1:
+            deviation = np.std(flat, axis=1, ddof=1)
         return np.mean(flat, axis=1), deviation / np.sqrt(count)

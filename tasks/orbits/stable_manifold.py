@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.orbits.walk import Walk
@@ -38,12 +39,12 @@ class Saddle(NamedTuple):
         The unstable one.
     """
 
-    y: np.ndarray
-    along: np.ndarray
+    y: ndarray
+    along: ndarray
     multiplier: float
 
 
-def saddle_at(problem: Problem, y: np.ndarray, slope: float) -> Saddle | None:
+def saddle_at(problem: Problem, y: ndarray, slope: float) -> Saddle | None:
     """A gait as a saddle; None if not one.
 
     Parameters
@@ -59,17 +60,23 @@ def saddle_at(problem: Problem, y: np.ndarray, slope: float) -> Saddle | None:
     at = stride(problem, y[:, None], np.array([slope]))
     if at.outcome[0] != STRUCK:
         return None
+
     values, vectors = np.linalg.eig(at.jacobian[:, :, 0])
     is_outside = np.abs(values) > 1
     if is_outside.sum() != 1 or values[is_outside][0].real < 1:
         return None
+
     left = np.linalg.inv(vectors)[is_outside][0].real
-    return Saddle(y, left / np.linalg.norm(y), float(values[is_outside][0].real))
+    multiplier = float(values[is_outside][0].real)
+    return Saddle(y, left / np.linalg.norm(y), multiplier)
 
 
 def stable_manifold(
-    problem: Problem, saddle: Saddle, slope: float, grid: np.ndarray
-) -> np.ndarray:
+    problem: Problem,
+    saddle: Saddle,
+    slope: float,
+    grid: ndarray,
+) -> ndarray:
     """Points of a saddle's stable manifold on the lines of a grid of initial
     conditions.
 
@@ -91,34 +98,62 @@ def stable_manifold(
     Dowell and P. Jarratt, BIT 11 (1971) 168-174). It is on the manifold if the orbit
     from there approaches the saddle, which one from an edge of falling does not.
     """
-    m = len(grid)
-    leaves = _leave(problem, saddle, slope, grid.reshape(m, -1))[0].reshape(
-        grid.shape[1:]
-    )
-    pairs = [(grid[:, :-1], grid[:, 1:], leaves[:-1], leaves[1:])]
-    pairs += [(grid[:, :, :-1], grid[:, :, 1:], leaves[:, :-1], leaves[:, 1:])]
-    ends = [
-        [x[..., at_a * at_b < 0] for x in (a, b, at_a, at_b)]
-        for a, b, at_a, at_b in pairs
-    ]
-    a, b, at_a, at_b = (
-        np.concatenate(parts, axis=-1) for parts in zip(*ends, strict=True)
-    )
-    best, nearest = a, np.full(a.shape[1], np.inf)
-    for _ in range(_ROUNDS if a.shape[1] else 0):
+    a, b, at_a, at_b = _brackets(problem, saddle, slope, grid)
+    best = a
+    nearest = np.full(a.shape[1], np.inf)
+    if not a.shape[1]:
+        return best
+
+    for _ in range(_ROUNDS):
         x = (a * at_b - b * at_a) / (at_b - at_a)
         at_x, near = _leave(problem, saddle, slope, x)
-        best, nearest = np.where(near < nearest, x, best), np.minimum(nearest, near)
+        best = np.where(near < nearest, x, best)
+        nearest = np.minimum(nearest, near)
+
         changes = at_x * at_b < 0
         # An end kept twice counts half, else it would stay for ever.
-        a, at_a = np.where(changes, b, a), np.where(changes, at_b, 0.5 * at_a)
+        a = np.where(changes, b, a)
+        at_a = np.where(changes, at_b, 0.5 * at_a)
         b, at_b = x, at_x
     return best[:, nearest < _REACHED]
 
 
+def _brackets(
+    problem: Problem,
+    saddle: Saddle,
+    slope: float,
+    grid: ndarray,
+) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+    """Neighbours of a grid whose orbits leave the saddle to different sides.
+
+    Returns
+    -------
+    a, b : ndarray, shape (m, k)
+    at_a, at_b : ndarray, shape (k,)
+        Where along the unstable direction their orbits leave it.
+    """
+    m, *shape = grid.shape
+    leaves = _leave(problem, saddle, slope, grid.reshape(m, -1))[0].reshape(shape)
+
+    down = (grid[:, :-1], grid[:, 1:], leaves[:-1], leaves[1:])
+    across = (grid[:, :, :-1], grid[:, :, 1:], leaves[:, :-1], leaves[:, 1:])
+    parts = []
+    for pair in (down, across):
+        *_, at_a, at_b = pair
+        is_parted = at_a * at_b < 0
+        parts.append([each[..., is_parted] for each in pair])
+    a, b, at_a, at_b = (
+        np.concatenate(part, axis=-1) for part in zip(*parts, strict=True)
+    )
+    return a, b, at_a, at_b
+
+
 def _leave(
-    problem: Problem, saddle: Saddle, slope: float, y: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    problem: Problem,
+    saddle: Saddle,
+    slope: float,
+    y: ndarray,
+) -> tuple[ndarray, ndarray]:
     """Where along the unstable direction orbits leave the saddle, and how near they
     come to it.
 
@@ -136,18 +171,16 @@ def _leave(
         Least distance from the saddle over its norm.
     """
     n = y.shape[1]
-    leaves, nearest, walk = (
-        np.full(n, np.nan),
-        np.full(n, np.inf),
-        Walk(problem, y, np.full(n, slope)),
-    )
+    leaves = np.full(n, np.nan)
+    nearest = np.full(n, np.inf)
+    walk = Walk(problem, y, np.full(n, slope))
     for taken in walk.steps(_MAX_STEPS):
         lanes = walk.lanes
         off = walk.y[:, lanes] - saddle.y[:, None]
         along = total(saddle.along[:, None] * off)
         leaves[lanes] = along / saddle.multiplier**taken
-        nearest[lanes] = np.minimum(
-            nearest[lanes], norm(off) / np.linalg.norm(saddle.y)
-        )
+
+        distance = norm(off) / np.linalg.norm(saddle.y)
+        nearest[lanes] = np.minimum(nearest[lanes], distance)
         walk.lanes = lanes[(np.abs(along) < _LEFT) | (taken < _APPROACH)]
     return leaves, nearest

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK, stride
@@ -37,12 +38,17 @@ class Walk:
         Of the last step of each, index of CAUSES.
     """
 
-    def __init__(self, problem: Problem, y: np.ndarray, slope: np.ndarray):
+    def __init__(self, problem: Problem, y: ndarray, slope: ndarray):
         n = y.shape[1]
-        self.problem, self.slope, self.lanes = problem, slope, np.arange(n)
-        self.y, self.times = y.copy(), np.full((problem.phases, n), np.nan)
-        self.before, self.jacobian = y, np.empty((0, 0, n))
-        self.taken, self.outcome = np.zeros(n, int), np.full(n, STRUCK)
+        self.problem = problem
+        self.slope = slope
+        self.lanes = np.arange(n)
+        self.y = y.copy()
+        self.times = np.full((problem.phases, n), np.nan)
+        self.before = y
+        self.jacobian = np.empty((0, 0, n))
+        self.taken = np.zeros(n, int)
+        self.outcome = np.full(n, STRUCK)
 
     def steps(self, count: int, exact: bool = False) -> Iterator[int]:
         """Take steps while anyone walks, and count them from 1; the last may be a fall
@@ -55,7 +61,8 @@ class Walk:
             As for `stride`.
         """
         for number in range(1, count + 1):
-            lanes, before = self.lanes, self.y[:, self.lanes]
+            lanes = self.lanes
+            before = self.y[:, self.lanes]
             if not len(lanes):
                 return
             step = stride(self.problem.some(lanes), before, self.slope[lanes], exact)
@@ -70,7 +77,7 @@ class Walk:
             yield number
 
 
-def change(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def change(before: ndarray, after: ndarray) -> ndarray:
     """Largest change of states (..., m, n) over the largest of their coordinates, shape
     (..., n).
     """

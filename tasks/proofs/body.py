@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from flint import arb, fmpq
 
@@ -157,25 +157,16 @@ def body(keys: Mapping[str, Number], kneed: bool, trailing_knee: str = "free") -
         If the leg cannot be shown to close.
     """
     k = {name: arb(value) for name, value in keys.items()}
+    is_light = not kneed and _is_zero(keys["m_s"]) and _hangs_at_hip(keys)
     l, knee, thigh_centre, shank_centre = _shape(keys, k)
-    zero = arb(0)
-    heavy = kneed or not (_is_zero(keys["m_s"]) and _hangs_at_hip(keys))
-    m_t, m_s = (k["m_t"], k["m_s"]) if heavy else (zero, arb(1))
-    thigh = thigh_centre * m_t + knee * m_s
-    shank = shank_centre * m_s
-    about_hip = thigh_centre.dot(thigh_centre) + k["r_t"] ** 2
-    about_knee = shank_centre.dot(shank_centre) + k["r_s"] ** 2
-    thigh_inertia = m_t * about_hip + m_s * knee.dot(knee)
-    shank_inertia = m_s * about_knee
-    coupling = knee.times_conjugate(shank)
-    leg = thigh + shank
-    leg_inertia = thigh_inertia + shank_inertia + 2 * coupling.x
+    links = _swing_links(k, knee, thigh_centre, shank_centre, is_light)
+    moment, inertia = links.leg
 
     mass = 2 * (k["m_t"] + k["m_s"]) + k["m_h"]
     first, second = _of_stance(mass, l, k["R"])
-    if heavy:
-        first = first + leg
-        second = second + 2 * l * leg.y + leg_inertia
+    if not is_light:
+        first = first + moment
+        second = second + 2 * l * moment.y + inertia
     return Body(
         R=k["R"],
         l=l,
@@ -183,15 +174,50 @@ def body(keys: Mapping[str, Number], kneed: bool, trailing_knee: str = "free") -
         mass=mass,
         stance_first=first,
         stance_second=second,
-        thigh=(thigh, thigh_inertia),
-        shank=(shank, shank_inertia),
-        leg=(leg, leg_inertia),
-        coupling=coupling,
-        heavy=heavy,
+        thigh=links.thigh,
+        shank=links.shank,
+        leg=links.leg,
+        coupling=links.coupling,
+        heavy=not is_light,
         kneed=kneed,
         point_foot=_is_point_foot(keys, kneed),
         locks_trailing_knee=trailing_knee == "locked",
-        drive=_drive(k, knee, l, None if heavy else leg_inertia),
+        drive=_drive(k, knee, l, inertia if is_light else None),
+    )
+
+
+class _SwingLinks(NamedTuple):
+    """First moments and inertias of the swing links, as a `Body` has them."""
+
+    thigh: tuple[Vector, arb]
+    shank: tuple[Vector, arb]
+    leg: tuple[Vector, arb]
+    coupling: Vector
+
+
+def _swing_links(
+    k: Mapping[str, arb],
+    knee: Vector,
+    thigh_centre: Vector,
+    shank_centre: Vector,
+    is_light: bool,
+) -> _SwingLinks:
+    """Links of a leg; of one without mass those of a foot of mass one."""
+    m_t, m_s = (arb(0), arb(1)) if is_light else (k["m_t"], k["m_s"])
+    thigh = thigh_centre * m_t + knee * m_s
+    shank = shank_centre * m_s
+    about_hip = thigh_centre.dot(thigh_centre) + k["r_t"] ** 2
+    about_knee = shank_centre.dot(shank_centre) + k["r_s"] ** 2
+    thigh_inertia = m_t * about_hip + m_s * knee.dot(knee)
+    shank_inertia = m_s * about_knee
+
+    coupling = knee.times_conjugate(shank)
+    leg_inertia = thigh_inertia + shank_inertia + 2 * coupling.x
+    return _SwingLinks(
+        (thigh, thigh_inertia),
+        (shank, shank_inertia),
+        (thigh + shank, leg_inertia),
+        coupling,
     )
 
 

@@ -41,11 +41,9 @@ class Region:
     def box(self) -> list[arb]:
         """Every unknown over the whole region."""
         box = [c + w for c, w in zip(self.middle, self.offsets, strict=True)]
-        return (
-            box
-            if self.tangent is None
-            else [x + t * self.span for x, t in zip(box, self.tangent, strict=True)]
-        )
+        if self.tangent is None:
+            return box
+        return [x + t * self.span for x, t in zip(box, self.tangent, strict=True)]
 
     @property
     def span(self) -> arb:
@@ -183,53 +181,89 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
     state moves along the flow.
     """
     m, events = dimensions(body)
-    box, middle = region.box, region.middle
-    directions, slopes, spread = _directions(region, m + events)
-    state, by_section = start(body, box[:m])
-    centre, _ = start(body, middle[:m])
-    V = by_section * arb_mat([row[:m] for row in directions]).transpose()
-
+    way = _Way(body, region, accuracy)
     phases: list[Flow] = []
     ends: list[State] = []
     rows: list[list[arb]] = []
     defect: list[arb] = []
     for k in range(events):
-        durations = _duration(middle[m:], k), _duration(box[m:], k)
-        phase = flow(
-            body,
-            (middle[-1], box[-1]),
-            centre,
-            state,
-            V,
-            durations,
-            accuracy,
-            slopes,
-            spread,
-        )
-        phases.append(phase)
-        centre = phase.middle
-        by_duration = [_duration(row[m:], k) for row in directions]
-        V = _at_event(body, phase, box[-1], by_duration)
-        end = narrower(phase.state, centre, V, spread)
-        ends.append(end)
-
         is_knee = k < events - 1
-        columns = V.transpose().tolist()
+        phases.append(way.to_event(k))
+        ends.append(way.state)
+        columns = way.derivative.transpose().tolist()
         rows.append([_guard(column, is_knee) for column in columns])
-        defect.append(_guard(centre, is_knee))
+        defect.append(_guard(way.centre, is_knee))
         if is_knee:
-            V, state, centre = _locked(body, V, end, centre)
-            state = narrower(state, centre, V, spread)
+            way.lock_knee()
 
-    rows += _by_image(body, end, V, m)
-    image = _image(body, centre, m)
-    defect += [a - b for a, b in zip(image, middle, strict=False)]
+    rows += _by_image(body, way.state, way.derivative, m)
+    image = _image(body, way.centre, m)
+    defect += [a - b for a, b in zip(image, region.middle, strict=False)]
     by_tangent: list[arb] = []
     if region.tangent is not None:
         by_tangent = [row.pop() for row in rows]
     return Step(
         defect, arb_mat(rows), by_tangent, phases, ends, body.locks_trailing_knee
     )
+
+
+class _Way:
+    """What is carried through a step: the motion of a region's middle, of every point of
+    it, and the derivatives.
+
+    Attributes
+    ----------
+    centre, state : list of arb
+        Angles, then rates, of the middle's motion, and of all.
+    derivative : arb_mat, shape (2 n, d)
+        Of the state along the unknowns and the tangent.
+    """
+
+    def __init__(self, body: Body, region: Region, accuracy: Accuracy):
+        m, events = dimensions(body)
+        self._body = body
+        self._region = region
+        self._accuracy = accuracy
+        self._m = m
+        self._directions, self._slopes, self._spread = _directions(region, m + events)
+        self.state, by_section = start(body, region.box[:m])
+        self.centre, _ = start(body, region.middle[:m])
+        sections = arb_mat([row[:m] for row in self._directions])
+        self.derivative = by_section * sections.transpose()
+
+    def to_event(self, k: int) -> Flow:
+        """Carry everything through a phase to the event that ends it."""
+        body = self._body
+        box = self._region.box
+        middle = self._region.middle
+        m = self._m
+        phase = flow(
+            body,
+            (middle[-1], box[-1]),
+            self.centre,
+            self.state,
+            self.derivative,
+            (_duration(middle[m:], k), _duration(box[m:], k)),
+            self._accuracy,
+            self._slopes,
+            self._spread,
+        )
+
+        by_duration = [_duration(row[m:], k) for row in self._directions]
+        self.centre = phase.middle
+        self.derivative = _at_event(body, phase, box[-1], by_duration)
+        self.state = self._narrower(phase.state)
+        return phase
+
+    def lock_knee(self) -> None:
+        """Carry everything through kneestrike."""
+        self.derivative, state, self.centre = _locked(
+            self._body, self.derivative, self.state, self.centre
+        )
+        self.state = self._narrower(state)
+
+    def _narrower(self, state: State) -> State:
+        return narrower(state, self.centre, self.derivative, self._spread)
 
 
 def _at_event(body: Body, phase: Flow, slope: arb, by_duration: list[arb]) -> arb_mat:
@@ -295,7 +329,10 @@ def _by_image(body: Body, end: State, V: arb_mat, m: int) -> list[list[arb]]:
 
 
 def _locked(
-    body: Body, V: arb_mat, before: State, centre: State
+    body: Body,
+    V: arb_mat,
+    before: State,
+    centre: State,
 ) -> tuple[arb_mat, State, State]:
     """Derivatives, states and the middle's state just after kneestrike."""
     law, by_stance, by_swing = kneestrike(body, *before[:2])

@@ -105,7 +105,6 @@ def flow(
     NotProvedError
         If no enclosure is found.
     """
-    middle_slope, slope = slopes
     order = accuracy.order
     state = box
     time, end = arb(0), duration[1].upper()
@@ -113,33 +112,45 @@ def flow(
     step = longest = MAX_STEP * body.time_unit
     while len(pieces) < MAX_STEPS:
         remaining = (end - time).upper()
-        # The last step holds the whole bracket of the event, so it is no shorter than
-        # half the others.
-        h = remaining
-        if not remaining <= step:
-            h = arb(min(step, float(remaining) / 2))
-        thin = Motion(body, middle_slope, middle, order - 1)
-        wide = Motion(body, slope, state, order - 1)
+        h = _next_length(remaining, step)
+        thin = Motion(body, slopes[0], middle, order - 1)
+        wide = Motion(body, slopes[1], state, order - 1)
         change = Variation(wide, derivative, by_slope, order - 1)
         h, (rest, rest_derivative), excess = _fitting(change, h, accuracy)
-        piece = Piece(time, h, _closed(wide, rest))
-        pieces.append(piece)
+        pieces.append(Piece(time, h, _closed(wide, rest)))
 
         is_last = h is remaining
-        t_c, t = (duration[0] - time, duration[1] - time) if is_last else (h, h)
-        if not (t_c >= 0 and t >= 0):
-            raise NotProvedError(
-                "The bracket of an event's time is wider than a Taylor step."
-            )
-        middle = [evaluate(s, t_c) for s in _closed(thin, rest)]
-        state = [evaluate(s, t) for s in piece.series]
-        derivative = evaluate([*change.terms, rest_derivative], t)
+        of_middle, of_all = _left(duration, time) if is_last else (h, h)
+        middle = _evaluated(_closed(thin, rest), of_middle)
+        state = _evaluated(pieces[-1].series, of_all)
+        derivative = evaluate([*change.terms, rest_derivative], of_all)
         if is_last:
             return Flow(middle, state, derivative, pieces)
         state = narrower(state, middle, derivative, spread)
         time = time + h
         step = min(longest, float(h) * _longer(excess, order))
     raise NotProvedError(f"The phase takes more than {MAX_STEPS} Taylor steps.")
+
+
+def _next_length(remaining: arb, longest: float) -> arb:
+    """Length of the next step: all that remains, if that is no more than the longest.
+
+    The last step holds the whole bracket of the event, so it is no shorter than half the
+    others.
+    """
+    if remaining <= longest:
+        return remaining
+    return arb(min(longest, float(remaining) / 2))
+
+
+def _left(duration: tuple[arb, arb], time: arb) -> tuple[arb, arb]:
+    """What is left of the durations of a phase after some time."""
+    of_middle, of_all = (whole - time for whole in duration)
+    if not (of_middle >= 0 and of_all >= 0):
+        raise NotProvedError(
+            "The bracket of an event's time is wider than a Taylor step."
+        )
+    return of_middle, of_all
 
 
 def _longer(excess: float, order: int) -> float:
@@ -196,6 +207,11 @@ def narrower(
     ]
 
 
+def _evaluated(series: list[Series], t: arb) -> State:
+    """Values of several series."""
+    return [evaluate(each, t) for each in series]
+
+
 def _closed(motion: Motion, rest: State) -> list[Series]:
     """Series with the remainder as their last coefficient."""
     return [[*s, r] for s, r in zip(motion.series, rest, strict=True)]
@@ -241,19 +257,17 @@ def enclose(body: Body, slope: arb, start: State, h: arb) -> State | None:
     n, span, box = len(start) // 2, arb(0).union(h), start
     for _ in range(MAX_INFLATIONS):
         try:
-            image = [
-                x + span * rate
-                for x, rate in zip(start, velocity(body, slope, box), strict=True)
-            ]
+            rates = velocity(body, slope, box)
         except ZeroDivisionError:
             return None
+        image = [x + span * rate for x, rate in zip(start, rates, strict=True)]
         if all(b.contains(i) for b, i in zip(box, image, strict=True)):
             return image
-        scale = [_size(image[k : k + n]) for k in (0, n)]
-        box = [
-            _inflated(b.union(i), 0.05, 1e-3 * scale[k // n])
-            for k, (b, i) in enumerate(zip(box, image, strict=True))
-        ]
+
+        # Of angles, and of rates.
+        least = [1e-3 * _size(part) for part in (image[:n], image[n:])]
+        unions = [b.union(i) for b, i in zip(box, image, strict=True)]
+        box = [_inflated(ball, 0.05, least[k // n]) for k, ball in enumerate(unions)]
     return None
 
 
@@ -278,11 +292,9 @@ def enclose_derivative(change: Variation, h: arb) -> arb_mat:
     """
     start, span = change.terms[0], arb(0).union(h)
     size = change.growth(h) * _absolute(change.stacked(start))
-    enclosure = arb_mat(
-        start.nrows(),
-        start.ncols(),
-        [arb(0, x.abs_upper()) for x in size.entries()[: len(start.entries())]],
-    )
+    sizes = size.entries()[: len(start.entries())]
+    balls = [arb(0, x.abs_upper()) for x in sizes]
+    enclosure = arb_mat(start.nrows(), start.ncols(), balls)
     for _ in range(2):
         trial = Variation(change.motion, enclosure, change.by_slope, 1)
         enclosure = start + trial.terms[1] * span
@@ -290,9 +302,8 @@ def enclose_derivative(change: Variation, h: arb) -> arb_mat:
 
 
 def _absolute(matrix: arb_mat) -> arb_mat:
-    return arb_mat(
-        matrix.nrows(), matrix.ncols(), [arb(x.abs_upper()) for x in matrix.entries()]
-    )
+    sizes = [arb(x.abs_upper()) for x in matrix.entries()]
+    return arb_mat(matrix.nrows(), matrix.ncols(), sizes)
 
 
 def _inflated(x: arb, factor: float, least: float) -> arb:

@@ -302,11 +302,9 @@ def _unknowns(setting: Setting, guess: Sequence[float]) -> list[arb]:
     with ctx.workprec(MIN_BITS):
         m, n = dimensions(setting.body())
     if len(guess) != 3 + n or not all(math.isfinite(x) for x in guess):
-        needed = (
-            "stance angle, two rates, kneestrike and period"
-            if n == 2
-            else "stance angle, two rates and period"
-        )
+        needed = "stance angle, two rates and period"
+        if n == 2:
+            needed = "stance angle, two rates, kneestrike and period"
         raise NotProvedError(f"The approximation is not made of finite {needed}.")
     if not guess[0] or not any(guess[1:m]) or not guess[-1] > 0:
         raise NotProvedError(
@@ -391,8 +389,6 @@ def _radius(box: Mapping[str, arb]) -> float:
 
 
 def _sentence(error: Exception) -> str:
-    return (
-        str(error)
-        if isinstance(error, NotProvedError)
-        else "A matrix is not told from a singular one."
-    )
+    if isinstance(error, NotProvedError):
+        return str(error)
+    return "A matrix is not told from a singular one."

@@ -75,16 +75,12 @@ def proof_of(params: Mapping[str, Any]) -> tuple[Setting, Proof]:
     keys, kneed = doubles(walker.table())
     setting = Setting(keys, kneed, double(params["slope"]), walker.trailing_knee)
     bound = float(values.get("error_bound", math.nan))
-    accuracy = (
-        min(params["accuracy"], max(bound / SHARPER, FINEST))
-        if bound > 0
-        else params["accuracy"]
-    )
-    # Newton's steps overlap: together they may be a little longer than what they
-    # correct.
-    reach = (
-        max(MAX_CORRECTION, min(2 * bound, MAX_BOUND)) if bound > 0 else MAX_CORRECTION
-    )
+    accuracy, reach = params["accuracy"], MAX_CORRECTION
+    if bound > 0:
+        accuracy = min(accuracy, max(bound / SHARPER, FINEST))
+        # Newton's steps overlap: together they may be a little longer than what they
+        # correct.
+        reach = max(reach, min(2 * bound, MAX_BOUND))
     return setting, prove(setting, guess(values), accuracy, params["gait"], reach)
 
 

@@ -4,7 +4,7 @@ zero once, transversally.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from flint import arb
@@ -75,47 +75,62 @@ def zeros(
         If the guard cannot be told from a grazing one, or no strike's from zero at the
         end.
     """
-    stretches: list[Stretch] = []
-    for stretch in _stretches(phases, guard, name, order):
-        if stretches and stretches[-1].kind == stretch.kind:
-            last = stretches.pop()
-            stretch = Stretch(
-                stretch.kind, last.low, stretch.high, last.stance.union(stretch.stance)
-            )
-        stretches.append(stretch)
+    stretches = _joined(_stretches(phases, guard, name, order))
+    befores = [None, *stretches[:-1]]
+    afters = [*stretches[1:], None]
     crossings = []
-    for before, current, after in zip(
-        [None, *stretches], stretches, [*stretches[1:], None], strict=False
-    ):
-        if current.kind in SIGNS:
-            if after is not None and after.kind in SIGNS:
-                raise NotProvedError(
-                    f"Grazing: the {name} guard changes sign between phases."
-                )
-            continue
-        if (
-            before is None
-            or before.kind not in SIGNS
-            or (after is not None and after.kind not in SIGNS)
-        ):
+    for before, current, after in zip(befores, stretches, afters, strict=True):
+        if current.kind not in SIGNS:
+            if _is_crossed(before, current, after, name, order):
+                crossings.append(current)
+        elif after is not None and after.kind in SIGNS:
             raise NotProvedError(
-                f"Grazing: the {name} guard and its rate are not told from zero at the same time."
+                f"Grazing: the {name} guard changes sign between phases."
             )
-        from_sign = "-" if current.rises else "+"
-        if after is None and not order and before.kind == from_sign:
-            raise NotProvedError(
-                f"Whether the {name} guard vanishes at the end of the step is not decided."
-            )
-        changes = (
-            after.kind != before.kind if after else order and before.kind == from_sign
+    return stretches[0].kind, crossings
+
+
+def _joined(stretches: Iterable[Stretch]) -> list[Stretch]:
+    """Stretches in order, those of one kind that follow each other as one."""
+    joined: list[Stretch] = []
+    for stretch in stretches:
+        if joined and joined[-1].kind == stretch.kind:
+            last = joined.pop()
+            stance = last.stance.union(stretch.stance)
+            stretch = Stretch(stretch.kind, last.low, stretch.high, stance)
+        joined.append(stretch)
+    return joined
+
+
+def _is_crossed(
+    before: Stretch | None,
+    current: Stretch,
+    after: Stretch | None,
+    name: str,
+    order: int,
+) -> bool:
+    """Whether the guard changes its sign on a stretch on which it rises or falls, by
+    those before and after it; at the end of the step that of a strike vanishes.
+    """
+    is_signed = before is not None and before.kind in SIGNS
+    if not is_signed or (after is not None and after.kind not in SIGNS):
+        raise NotProvedError(
+            f"Grazing: the {name} guard and its rate are not told from zero at the same time."
         )
+    assert before is not None
+    from_sign = "-" if current.rises else "+"
+    if after is not None:
+        changes = after.kind != before.kind
         if changes and before.kind != from_sign:
             raise NotProvedError(
                 f"Grazing: the {name} guard changes sign against its rate."
             )
-        if changes:
-            crossings.append(current)
-    return stretches[0].kind, crossings
+        return changes
+    if not order and before.kind == from_sign:
+        raise NotProvedError(
+            f"Whether the {name} guard vanishes at the end of the step is not decided."
+        )
+    return bool(order and before.kind == from_sign)
 
 
 def _stretches(
@@ -141,11 +156,10 @@ def _classified(
     while waiting:
         low, high, depth = waiting.pop()
         span = low.union(high)
-        kind = (
-            _sign(evaluate(quotient, span))
-            if order and low == 0
-            else _kind(value, rate, low, high, span)
-        )
+        if order and low == 0:
+            kind = _sign(evaluate(quotient, span))
+        else:
+            kind = _kind(value, rate, low, high, span)
         if kind in SIGNS or (kind and depth >= ZERO_DEPTH):
             yield Stretch(
                 kind, clock + low, clock + high, evaluate(piece.series[0], span)

@@ -27,12 +27,22 @@ def step_derivative(derivative: arb_mat, m: int, events: int) -> arb_mat:
         If the strikes' rates are not told from zero.
     """
     rows = derivative.tolist()
-    guard_x, guard_t, image_x, image_t = (
-        arb_mat([row[part] for row in block])
-        for block in (rows[:events], rows[events:])
-        for part in (slice(0, m), slice(m, m + events))
-    )
+    guards = rows[:events]
+    image = rows[events:]
+    guard_x, guard_t = _split(guards, m, events)
+    image_x, image_t = _split(image, m, events)
     return image_x - image_t * guard_t.inv() * guard_x
+
+
+def _split(
+    rows: list[list[arb]],
+    m: int,
+    events: int,
+) -> tuple[arb_mat, arb_mat]:
+    """Derivatives by section state and by event times."""
+    by_state = [row[:m] for row in rows]
+    by_times = [row[m : m + events] for row in rows]
+    return arb_mat(by_state), arb_mat(by_times)
 
 
 def characteristic(matrix: arb_mat) -> list[arb]:
@@ -49,10 +59,10 @@ def characteristic(matrix: arb_mat) -> list[arb]:
     a = matrix.tolist()
     if len(a) == 2:
         return [arb(1), -matrix.trace(), matrix.det()]
-    minors = sum(
-        (a[i][i] * a[j][j] - a[i][j] * a[j][i] for i, j in ((0, 1), (0, 2), (1, 2))),
-        arb(0),
-    )
+    minors = arb(0)
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        diagonal = a[i][i] * a[j][j]
+        minors += diagonal - a[i][j] * a[j][i]
     return [arb(1), -matrix.trace(), minors, -matrix.det()]
 
 
@@ -73,14 +83,15 @@ def multipliers(matrix: arb_mat) -> list[acb]:
         found = matrix.eig()
     except ValueError:
         return []
-    # Conjugates of multipliers are multipliers: one whose conjugate lies in no other
-    # ball is its own.
-    return [
-        z
-        if any(z.conjugate().overlaps(x) for x in found if x is not z)
-        else acb(z.real)
-        for z in found
-    ]
+    return [z if _may_be_paired(z, found) else acb(z.real) for z in found]
+
+
+def _may_be_paired(z: acb, found: list[acb]) -> bool:
+    """Whether a multiplier's conjugate, which is one too, may lie in the ball of another;
+    if not, it is the multiplier itself, which is real.
+    """
+    others = [x for x in found if x is not z]
+    return any(z.conjugate().overlaps(x) for x in others)
 
 
 def is_stable(matrix: arb_mat) -> bool | None:
@@ -103,12 +114,17 @@ def is_stable(matrix: arb_mat) -> bool | None:
     fails strictly puts a multiplier outside.
     """
     p = characteristic(matrix)
-    margins = [sum(p, arb(0)), flip_function(matrix), 1 - abs(p[-1])]
+    at_one = sum(p, arb(0))
+    at_minus_one = flip_function(matrix)
+    margins = [at_one, at_minus_one, 1 - abs(p[-1])]
     if len(p) == 4:
-        margins.append(1 - p[3] ** 2 - abs(p[3] * p[1] - p[2]))
+        left = abs(p[3] * p[1] - p[2])
+        margins.append(1 - p[3] ** 2 - left)
     if all(x > 0 for x in margins):
         return True
-    return False if any(x < 0 for x in margins[:3]) or _last_fails(margins) else None
+    if any(x < 0 for x in margins[:3]) or _last_fails(margins):
+        return False
+    return None
 
 
 def _last_fails(margins: list[arb]) -> bool:
@@ -130,6 +146,6 @@ def flip_function(matrix: arb_mat) -> arb:
     arb
     """
     rows = matrix.tolist()
-    return arb_mat(
-        [[x + int(i == j) for j, x in enumerate(row)] for i, row in enumerate(rows)]
-    ).det()
+    for i, row in enumerate(rows):
+        row[i] += 1
+    return arb_mat(rows).det()

@@ -9,7 +9,9 @@ _SAMPLES = 16
 
 
 def guard(
-    free: bool, x: np.ndarray, ground: np.ndarray | None = None
+    free: bool,
+    x: np.ndarray,
+    ground: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Guard of the next strike and its rate: flexion of the knee, or the sum of the
     legs' angles.
@@ -33,8 +35,12 @@ def guard(
     if ground is None:
         return x[0] + x[1], x[2] + x[3]
     scale, height = ground
-    mean, mean_rate = 0.5 * scale * (x[0] + x[1]), 0.5 * scale * (x[2] + x[3])
-    apart, apart_rate = 0.5 * scale * (x[1] - x[0]), 0.5 * scale * (x[3] - x[2])
+    half = 0.5 * scale
+    mean = half * (x[0] + x[1])
+    mean_rate = half * (x[2] + x[3])
+    apart = half * (x[1] - x[0])
+    apart_rate = half * (x[3] - x[2])
+
     by_mean = np.cos(mean) * np.sin(apart) * mean_rate
     by_apart = np.sin(mean) * np.cos(apart) * apart_rate
     height_of_foot = 2 * np.sin(mean) * np.sin(apart)
@@ -44,7 +50,10 @@ def guard(
 # Motions that are lost cross nothing.
 @np.errstate(divide="ignore", invalid="ignore")
 def crossing(
-    free: bool, X: np.ndarray, h: float, ground: np.ndarray | None = None
+    free: bool,
+    X: np.ndarray,
+    h: float,
+    ground: np.ndarray | None = None,
 ) -> np.ndarray:
     """Fraction of each time step at which the guard falls through zero; -1 where it
     does not.
@@ -71,7 +80,8 @@ def crossing(
     back is detected too. Heelstrikes count only with the stance leg behind.
     """
     g, rate = guard(free, X.swapaxes(0, 1), ground)
-    before, after = X[:-1, 0], X[1:, 0]
+    before = X[:-1, 0]
+    after = X[1:, 0]
     rate = h * rate
     crosses = _may_fall(g, rate)
     if not free:
@@ -95,13 +105,19 @@ def _may_fall(g: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """Whether a guard, given with its rates per time step, may fall through zero in
     each time step.
     """
-    a, b, da, db = g[:-1], g[1:], rate[:-1], rate[1:]
+    a = g[:-1]
+    b = g[1:]
+    da = rate[:-1]
+    db = rate[1:]
     was_up = (a > 0) | ((a == 0) & (da > 0))
     return np.asarray(was_up & ((b <= 0) | ((da < 0) & (db > 0))))
 
 
 def _first_zero(
-    a: np.ndarray, b: np.ndarray, da: np.ndarray, db: np.ndarray
+    a: np.ndarray,
+    b: np.ndarray,
+    da: np.ndarray,
+    db: np.ndarray,
 ) -> np.ndarray:
     """Fraction at which cubics of given values and rates at both ends first fall to
     zero, between samples; -1 where they do not.
@@ -114,7 +130,9 @@ def _first_zero(
         + db * s * s * (s - 1)
     )
     below = (value <= 0) & (s > 0)
-    first, lanes = np.argmax(below, axis=0), np.arange(len(a))
-    high, low = value[np.maximum(first - 1, 0), lanes], value[first, lanes]
+    lanes = np.arange(len(a))
+    first = np.argmax(below, axis=0)
+    high = value[np.maximum(first - 1, 0), lanes]
+    low = value[first, lanes]
     at = (first - 1 + high / (high - low)) / _SAMPLES
     return np.where(below.any(axis=0), at, -1.0)

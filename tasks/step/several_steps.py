@@ -13,6 +13,7 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.mechanics.sums import matvec
 from gaitsweep.tasks.step.step_map import Stride, StrideMap
@@ -33,8 +34,8 @@ class Strides:
     """
 
     one: Stride
-    y: np.ndarray
-    guessed: np.ndarray
+    y: ndarray
+    guessed: ndarray
 
     @property
     def steps(self) -> int:
@@ -47,22 +48,26 @@ class Strides:
         ones.
         """
         lanes = self.steps * self.y.shape[1]
-        return self.one.mapped(lambda values: values.reshape(*values.shape[:-2], lanes))
+
+        def in_lanes(values: ndarray) -> ndarray:
+            return values.reshape(*values.shape[:-2], lanes)
+
+        return self.one.mapped(in_lanes)
 
     @property
-    def closing(self) -> np.ndarray:
+    def closing(self) -> ndarray:
         """Rates of the guards at the strikes, shape (k, n)."""
         return _in_a_row(self.one.closing)
 
     @property
-    def image(self) -> np.ndarray:
+    def image(self) -> ndarray:
         """Where the steps lead, each at the place of the section after it, shape (m,
         n).
         """
         return np.asarray(self.residual[: len(self.y)] + self.y)
 
     @property
-    def jacobian(self) -> np.ndarray:
+    def jacobian(self) -> ndarray:
         """Derivative of all steps, one after another, by the first section, shape (m/s,
         m/s, n).
         """
@@ -72,22 +77,25 @@ class Strides:
         return np.asarray(product)
 
     @functools.cached_property
-    def times(self) -> np.ndarray:
+    def times(self) -> ndarray:
         """Event times, corrected, shape (k, n)."""
-        begins = np.cumsum(self.one.times[-1], axis=0) - self.one.times[-1]
+        periods = self.one.times[-1]
+        begins = np.cumsum(periods, axis=0) - periods
         return _in_a_row(self.one.times + begins)
 
     @functools.cached_property
-    def residual(self) -> np.ndarray:
+    def residual(self) -> ndarray:
         """Of the joint equations: of each section how far the step before it misses it,
         and the guards, (m + k, n).
         """
         m = len(self.one.y)
-        missed = np.roll(self.one.residual[:m] + self.one.y, 1, axis=1) - self.one.y
-        return np.vstack([_in_a_row(missed), _in_a_row(self.one.residual[m:])])
+        image = self.one.residual[:m] + self.one.y
+        missed = np.roll(image, 1, axis=1) - self.one.y
+        guards = self.one.residual[m:]
+        return np.vstack([_in_a_row(missed), _in_a_row(guards)])
 
     @functools.cached_property
-    def derivative(self) -> np.ndarray:
+    def derivative(self) -> ndarray:
         """Of the residual by y, the event times and the slope, shape (m + k, m + k + 1,
         n).
         """
@@ -95,92 +103,95 @@ class Strides:
         m = len(self.one.y)
         # A step's equation has its own section; in a gait of several that after it
         # takes its place.
-        by[np.arange(m), np.arange(m)] += 1.0
-        missed, guards = (
-            self._in_places(np.roll(by[:m], 1, axis=2), 1),
-            self._in_places(by[m:], 0),
-        )
+        of_one = np.arange(m)
+        by[of_one, of_one] += 1.0
+        before = np.roll(by[:m], 1, axis=2)
+        missed = self._in_places(before, 1)
+        guards = self._in_places(by[m:], 0)
+
         out = np.concatenate([*missed, *guards])
-        out[np.arange(len(self.y)), np.arange(len(self.y))] -= 1.0
+        of_all = np.arange(len(self.y))
+        out[of_all, of_all] -= 1.0
         return out
 
-    def _in_places(self, by: np.ndarray, before: int) -> np.ndarray:
+    def _in_places(self, by: ndarray, before: int) -> ndarray:
         """Derivatives of values of every step by all unknowns, shape (s, i, m + k + 1,
         n).
 
         They are given (i, j, s, n) by the section, event times and slope of the same
         step, or of one step `before`.
         """
-        i, s, n, m = len(by), self.steps, by.shape[-1], len(self.one.y)
-        own, by = np.arange(s), by.transpose(2, 0, 1, 3)
-        sections, times = (
-            np.zeros((s, i, s, m, n)),
-            np.zeros((s, i, s, by.shape[2] - 1 - m, n)),
-        )
-        sections[own, :, own - before], times[own, :, own - before] = (
-            by[:, :, :m],
-            by[:, :, m:-1],
-        )
+        s = self.steps
+        m = len(self.one.y)
+        n = by.shape[-1]
+        i = len(by)
+        k = by.shape[1] - 1 - m
+        by = by.transpose(2, 0, 1, 3)
+        step = np.arange(s)
+        sections = np.zeros((s, i, s, m, n))
+        sections[step, :, step - before] = by[:, :, :m]
+        times = np.zeros((s, i, s, k, n))
+        times[step, :, step - before] = by[:, :, m:-1]
         # A step begins with the last strike of the one before.
         times[:, :, :-1, -1] -= times[:, :, 1:].sum(axis=3)
-        each = (
-            sections.reshape(s, i, s * m, n),
-            times.reshape(s, i, s * times.shape[3], n),
-            by[:, :, -1:],
-        )
-        return np.concatenate(each, axis=2)
+
+        by_sections = sections.reshape(s, i, s * m, n)
+        by_times = times.reshape(s, i, s * k, n)
+        return np.concatenate([by_sections, by_times, by[:, :, -1:]], axis=2)
 
     @functools.cached_property
-    def inverse(self) -> np.ndarray:
+    def inverse(self) -> ndarray:
         """How far a residual moves the fixed point's y and its event times, shape (m +
         k, m + k, n).
         """
         return -_inverse(self.derivative[:, :-1])
 
     @functools.cached_property
-    def _moved(self) -> np.ndarray:
+    def _moved(self) -> ndarray:
         """Newton step of y and the event times, shape (m + k, n)."""
         return matvec(self.inverse, self.residual)
 
     @property
-    def newton(self) -> np.ndarray:
+    def newton(self) -> ndarray:
         """Newton step of y, shape (m, n)."""
         return self._moved[: len(self.y)]
 
     @property
-    def newton_times(self) -> np.ndarray:
+    def newton_times(self) -> ndarray:
         """The event times after it, shape (k, n)."""
         return np.asarray(self.guessed + self._moved[len(self.y) :])
 
     def move_impacts(self) -> None:
         """Correct the states at the impacts to the fixed point."""
-        newton = self.newton.reshape(
-            self.steps, len(self.one.y), self.y.shape[1]
-        ).swapaxes(0, 1)
-        self.one.impact = self.one.impact + matvec(self.one.impact_by_y, newton)
-        self.one.knee = self.one.knee + matvec(self.one.knee_by_y, newton)
+        shape = self.steps, len(self.one.y), self.y.shape[1]
+        newton = self.newton.reshape(shape).swapaxes(0, 1)
+        one = self.one
+        one.impact = one.impact + matvec(one.impact_by_y, newton)
+        one.knee = one.knee + matvec(one.knee_by_y, newton)
 
 
 #: What was evaluated of a gait: its step, or its steps.
 AnyStride = Stride | Strides
 
 
-def side_by_side(values: np.ndarray, steps: int) -> np.ndarray:
+def side_by_side(values: ndarray, steps: int) -> ndarray:
     """Values (s i, n) of steps in a row in lanes (i, s n): the first steps of all
     gaits, then the second ones.
     """
-    i, n = len(values) // steps, values.shape[1]
-    return values.reshape(steps, i, n).swapaxes(0, 1).reshape(i, steps * n)
+    i = len(values) // steps
+    n = values.shape[1]
+    of_steps = values.reshape(steps, i, n)
+    return of_steps.swapaxes(0, 1).reshape(i, steps * n)
 
 
-def _in_a_row(values: np.ndarray) -> np.ndarray:
+def _in_a_row(values: ndarray) -> ndarray:
     """Values (i, s, n) of every step, those of one after those of the step before: (s
     i, n).
     """
     return np.concatenate([*values.swapaxes(0, 1)])
 
 
-def _inverse(matrices: np.ndarray) -> np.ndarray:
+def _inverse(matrices: ndarray) -> ndarray:
     """Inverses of matrices (i, i, n); NaN where there is none."""
     each = matrices.transpose(2, 0, 1)
     out = np.full(each.shape, np.nan)
@@ -200,19 +211,21 @@ class StepSequence:
     """
 
     def __init__(self, single: StrideMap, steps: int):
-        self.single, self.steps, self.m = single, steps, steps * single.m
+        self.single = single
+        self.steps = steps
+        self.m = steps * single.m
         #: Of the state just after a heelstrike.
         self.start_size = single.start_size
 
-    def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+    def start(self, y: ndarray, parameters: ndarray) -> ndarray:
         """What `StrideMap.start` gives of the first section."""
         return self.single.start(y[: self.single.m], parameters)
 
     def __call__(
         self,
-        y: np.ndarray,
-        times: np.ndarray,
-        parameters: np.ndarray,
+        y: ndarray,
+        times: ndarray,
+        parameters: ndarray,
         slope: bool = False,
         samples: int = 0,
         coarse: bool = False,
@@ -220,28 +233,31 @@ class StepSequence:
         """Evaluate steps as `StrideMap` does, of sections (m, n) and event times (k, n)
         of all steps.
         """
-        s, n = self.steps, y.shape[1]
+        s = self.steps
+        n = y.shape[1]
+        m = self.single.m
         k = len(times) // s
-        begins = np.vstack([np.zeros((1, n)), times[k - 1 : -1 : k]])
+        last_strikes = times[k - 1 : -1 : k]
+        begins = np.vstack([np.zeros((1, n)), last_strikes])
+        durations = times - np.repeat(begins, k, axis=0)
         inputs = np.vstack(
             [
                 side_by_side(y, s),
-                side_by_side(times - np.repeat(begins, k, axis=0), s),
+                side_by_side(durations, s),
                 np.tile(parameters, s),
             ]
         )
+
         # Lanes of differences share most of their steps.
         inputs, place = np.unique(inputs, axis=1, return_inverse=True)
-        m = self.single.m
-        one = self.single(
-            inputs[:m], inputs[m : m + k], inputs[m + k :], slope, samples, coarse
-        )
-        return Strides(
-            one.mapped(lambda values: values[..., place.reshape(s, n)]), y, times.copy()
-        )
+        of_steps = inputs[:m], inputs[m : m + k], inputs[m + k :]
+        one = self.single(*of_steps, slope, samples, coarse)
+        place = place.reshape(s, n)
+        every = one.mapped(lambda values: values[..., place])
+        return Strides(every, y, times.copy())
 
 
-def sections(w: np.ndarray, m: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
+def sections(w: ndarray, m: int, steps: int) -> tuple[ndarray, ndarray]:
     """Take apart similarity coordinates of gaits of several steps.
 
     Parameters
@@ -257,12 +273,17 @@ def sections(w: np.ndarray, m: int, steps: int) -> tuple[np.ndarray, np.ndarray]
     durations : ndarray, shape (s, k/s, n) [sqrt(leg/g)]
         Of the phases.
     """
-    n, phases = w.shape[1], len(w) - m
-    y = np.vstack([np.ones((1, n)), w[1:m]]).reshape(steps, m // steps, n)
-    return y, np.diff(w[m:], axis=0, prepend=0).reshape(steps, phases // steps, n)
+    n = w.shape[1]
+    phases = len(w) - m
+    y = np.vstack([np.ones((1, n)), w[1:m]])
+    durations = np.diff(w[m:], axis=0, prepend=0)
+    return (
+        y.reshape(steps, m // steps, n),
+        durations.reshape(steps, phases // steps, n),
+    )
 
 
-def begun_at(w: np.ndarray, m: int, steps: int, first: np.ndarray | int) -> np.ndarray:
+def begun_at(w: ndarray, m: int, steps: int, first: ndarray | int) -> ndarray:
     """Similarity coordinates of the same gaits begun at another of their steps.
 
     Parameters
@@ -277,18 +298,18 @@ def begun_at(w: np.ndarray, m: int, steps: int, first: np.ndarray | int) -> np.n
     ndarray, shape (m + k, n)
     """
     places = (np.arange(steps)[:, None, None] + first) % steps
-    y, durations = (
-        np.take_along_axis(
-            each, np.broadcast_to(places, (steps, *each.shape[1:])), axis=0
-        )
-        for each in sections(w, m, steps)
-    )
-    return joined(w[0], y, durations)
+    begun = []
+    for values in sections(w, m, steps):
+        each = np.broadcast_to(places, values.shape)
+        begun.append(np.take_along_axis(values, each, axis=0))
+    return joined(w[0], *begun)
 
 
 def joined(
-    log_unit: np.ndarray | float, y: np.ndarray, durations: np.ndarray
-) -> np.ndarray:
+    log_unit: ndarray | float,
+    y: ndarray,
+    durations: ndarray,
+) -> ndarray:
     """Put together what `sections` takes apart, with y over another angle.
 
     Parameters
@@ -301,27 +322,23 @@ def joined(
     -------
     ndarray, shape (m + k, n)
     """
-    flat, angle = np.concatenate([*y]), y[0, 0]
-    return np.vstack(
-        [
-            log_unit + np.log(angle),
-            flat[1:] / angle,
-            np.cumsum(np.concatenate([*durations]), axis=0),
-        ]
-    )
+    angle = y[0, 0]
+    others = np.concatenate([*y])[1:] / angle
+    times = np.cumsum(np.concatenate([*durations]), axis=0)
+    return np.vstack([log_unit + np.log(angle), others, times])
 
 
-def distance(a: np.ndarray, b: np.ndarray, m: int, steps: int) -> float:
+def distance(a: ndarray, b: ndarray, m: int, steps: int) -> float:
     """Distance of two gaits (m + k,), whichever of their steps are the first."""
-    begun = (
-        begun_at(np.repeat(a[:, None], steps, axis=1), m, steps, np.arange(steps))
-        if steps > 1
-        else a[:, None]
-    )
-    return float(np.abs(begun - b[:, None]).max(axis=0).min())
+    begun = a[:, None]
+    if steps > 1:
+        every = np.repeat(begun, steps, axis=1)
+        begun = begun_at(every, m, steps, np.arange(steps))
+    apart = np.abs(begun - b[:, None])
+    return float(apart.max(axis=0).min())
 
 
-def distances_of_steps(w: np.ndarray, m: int, steps: int) -> np.ndarray:
+def distances_of_steps(w: ndarray, m: int, steps: int) -> ndarray:
     """How far gaits are from repeating after fewer steps.
 
     Parameters
@@ -337,16 +354,18 @@ def distances_of_steps(w: np.ndarray, m: int, steps: int) -> np.ndarray:
     """
     y, _ = sections(w, m, steps)
     sooner = [k for k in range(1, steps) if steps % k == 0]
-    each = [np.abs(y - np.roll(y, k, axis=0)).max(axis=(0, 1)) for k in sooner]
-    return np.array(each).reshape(len(sooner), w.shape[1])
+    distances = np.zeros((len(sooner), w.shape[1]))
+    for row, k in zip(distances, sooner, strict=True):
+        missed = np.abs(y - np.roll(y, k, axis=0))
+        row[:] = missed.max(axis=(0, 1))
+    return distances
 
 
-def from_largest(w: np.ndarray, m: int, steps: int) -> np.ndarray:
+def from_largest(w: ndarray, m: int, steps: int) -> ndarray:
     """Similarity coordinates (m + k, n) of the same gaits begun at the step with the
     largest stance angle.
     """
-    return (
-        begun_at(w, m, steps, sections(w, m, steps)[0][:, 0].argmax(axis=0))
-        if steps > 1
-        else w
-    )
+    if steps == 1:
+        return w
+    y, _ = sections(w, m, steps)
+    return begun_at(w, m, steps, y[:, 0].argmax(axis=0))

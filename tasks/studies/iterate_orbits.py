@@ -5,7 +5,7 @@ and falls.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,7 @@ _SHOWN = (
     "period",
     "error_bound",
 )
+_EXPONENTS = ("slope", "index", "exponent", "standard_error", "strides", "reason")
 #: Longest period at which an orbit is tested for repetition.
 _MAX_PERIOD = 64
 
@@ -69,49 +70,100 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     options = registry.options("orbit", params)
     walker = walker_of_line(params["line"])
-    problem = Problem(walker)
     slope = np.asarray(params["slope"], float)
-    known, gaits = gaits_at(
-        problem, atlases.from_arrays(inputs[0]), slope, str(options["gait"])
-    )
-    count = int(options["starts"])
-    # The same offsets at every slope, so that an orbit does not depend on the study's
-    # other slopes.
-    offsets = np.tile(2 * r_sequence(problem.m, count) - 1, (1, len(known)))
-    y = np.repeat(gaits, count, axis=1) * (1 + float(options["spread"]) * offsets)
-    lane_slope = np.repeat(slope[known], count)
-    start = np.tile(np.arange(count), len(known))
-    unit = walker.time_unit
-    walk, strides = Walk(problem, y, lane_slope), int(options["steps"])
+    branches = atlases.from_arrays(inputs[0])
+    problem = Problem(walker)
+    known, gaits = gaits_at(problem, branches, slope, str(options["gait"]))
+    starts = _starts(gaits, slope[known], options)
+    walk = Walk(problem, starts.y, starts.slope)
+    strides = int(options["steps"])
     _settle(walk, int(options["transient"]))
     rows, means = _keep(walk, strides, min(int(options["shown"]), strides))
+
     walks = walk.outcome == STRUCK
-    kept = (
-        rows[:, :, walks]
-        * np.array([1, 1 / unit, 1 / unit, 1 / unit, unit, 1])[:, None]
-    )
-    shown, n = len(kept), int(walks.sum())
-    out = {
-        "orbits/slope": np.repeat(lane_slope[walks], shown),
-        "orbits/start": np.repeat(start[walks], shown),
+    tables = _orbits(rows[:, :, walks], starts.some(walks), strides, walker.time_unit)
+    tables |= _falls(walk, starts, ~walks, np.delete(slope, known))
+    if not len(known):
+        tables |= nothing(over(f"{options['gait']} gait", slope))
+    tables |= _survival(starts.slope, walk.taken, ~walks)
+    return tables | _exponents(means[:, :, walks], starts.slope[walks], strides)
+
+
+class _Starts(NamedTuple):
+    """Initial conditions of n orbits.
+
+    Attributes
+    ----------
+    y : ndarray, shape (m, n) [rad, rad/sqrt(leg/g)]
+    slope : ndarray, shape (n,) [rad]
+    number : ndarray of int, shape (n,)
+        Their numbers at each slope.
+    """
+
+    y: np.ndarray
+    slope: np.ndarray
+    number: np.ndarray
+
+    def some(self, lanes: np.ndarray) -> _Starts:
+        """Those of some orbits."""
+        return _Starts(self.y[:, lanes], self.slope[lanes], self.number[lanes])
+
+
+def _starts(
+    gaits: np.ndarray,
+    slope: np.ndarray,
+    options: Mapping[str, Any],
+) -> _Starts:
+    """Initial conditions around gaits, shape (m, k), at k slopes."""
+    m, k = gaits.shape
+    count = int(options["starts"])
+    spread = float(options["spread"])
+    # The same offsets at every slope, so that an orbit does not depend on the study's
+    # other slopes.
+    offsets = np.tile(2 * r_sequence(m, count) - 1, (1, k))
+    y = np.repeat(gaits, count, axis=1) * (1 + spread * offsets)
+    return _Starts(y, np.repeat(slope, count), np.tile(np.arange(count), k))
+
+
+def _orbits(
+    rows: np.ndarray,
+    starts: _Starts,
+    strides: int,
+    time_unit: float,
+) -> Arrays:
+    """The table of the last of some strides of n orbits, from their rows, shape (shown,
+    len(_SHOWN), n), in the walker's units.
+    """
+    shown, _, n = rows.shape
+    rate = 1 / time_unit
+    kept = rows * np.array([1, rate, rate, rate, time_unit, 1])[:, None]
+    columns = {f"orbits/{name}": kept[:, i].T.ravel() for i, name in enumerate(_SHOWN)}
+    return {
+        "orbits/slope": np.repeat(starts.slope, shown),
+        "orbits/start": np.repeat(starts.number, shown),
         "orbits/stride": np.tile(np.arange(strides - shown, strides), n),
-        **{f"orbits/{name}": kept[:, i].T.ravel() for i, name in enumerate(_SHOWN)},
+        **columns,
         "orbits/repeats_to": np.repeat(_repeats(kept[:, 0]), shown),
     }
-    without = np.setdiff1d(np.arange(len(slope)), known)
-    out |= {
-        "falls/slope": np.concatenate([lane_slope[~walks], slope[without]]),
-        "falls/start": np.concatenate([start[~walks], np.full(len(without), -1)]),
-        "falls/steps": np.concatenate(
-            [walk.taken[~walks], np.zeros(len(without), int)]
-        ),
-        "falls/cause": np.array(
-            [CAUSES[c] for c in walk.outcome[~walks]] + [NO_START] * len(without), "U24"
-        ),
+
+
+def _falls(
+    walk: Walk,
+    starts: _Starts,
+    fell: np.ndarray,
+    without: np.ndarray,
+) -> Arrays:
+    """The table of the orbits that `fell`, and of the slopes without a gait to start
+    from.
+    """
+    causes = [CAUSES[number] for number in walk.outcome[fell]]
+    none = np.zeros(len(without), int)
+    return {
+        "falls/slope": np.concatenate([starts.slope[fell], without]),
+        "falls/start": np.concatenate([starts.number[fell], none - 1]),
+        "falls/steps": np.concatenate([walk.taken[fell], none]),
+        "falls/cause": np.array(causes + [NO_START] * len(without), "U24"),
     }
-    out |= {} if len(known) else nothing(over(f"{options['gait']} gait", slope))
-    out |= _survival(lane_slope, walk.taken, ~walks)
-    return out | _exponents(means[:, :, walks], lane_slope[walks], strides - _ALIGNMENT)
 
 
 def _repeats(angles: np.ndarray) -> np.ndarray:
@@ -121,9 +173,9 @@ def _repeats(angles: np.ndarray) -> np.ndarray:
     periods = range(1, min(_MAX_PERIOD, len(angles) // 2) + 1)
     if not periods:
         return np.full(angles.shape[1], np.nan)
-    return np.min(
-        [np.abs(angles[p:] / angles[:-p] - 1).max(axis=0) for p in periods], axis=0
-    )
+
+    changes = [np.abs(angles[p:] / angles[:-p] - 1).max(axis=0) for p in periods]
+    return np.min(changes, axis=0)
 
 
 def _survival(lane_slope: np.ndarray, steps: np.ndarray, fell: np.ndarray) -> Arrays:
@@ -147,22 +199,21 @@ def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Array
     where steps are too few.
     """
     reason = ""
-    if strides < _BLOCKS:
-        reason = f"Exponents need at least {_ALIGNMENT + _BLOCKS} steps; these orbits have {_ALIGNMENT + strides}."
-        means, strides = np.full_like(means, np.nan), 0
+    averaged = strides - _ALIGNMENT
+    if averaged < _BLOCKS:
+        reason = f"Exponents need at least {_ALIGNMENT + _BLOCKS} steps; these orbits have {strides}."
+        means = np.full_like(means, np.nan)
+        averaged = 0
+
     rows = []
-    for s in np.unique(lane_slope):
-        at_slope = lane_slope == s
+    for slope in np.unique(lane_slope):
+        at_slope = lane_slope == slope
         value, error = estimate(means[:, :, at_slope])
-        for i, k in enumerate(np.argsort(-value, kind="stable").tolist()):
-            rows.append(
-                (s, i, value[k], error[k], strides * int(at_slope.sum()), reason)
-            )
-    return table(
-        "lyapunov",
-        rows,
-        ("slope", "index", "exponent", "standard_error", "strides", "reason"),
-    )
+        count = averaged * int(at_slope.sum())
+        falling = np.argsort(-value, kind="stable").tolist()
+        for i, k in enumerate(falling):
+            rows.append((slope, i, value[k], error[k], count, reason))
+    return table("lyapunov", rows, _EXPONENTS)
 
 
 def _settle(walk: Walk, transient: int) -> None:
@@ -175,17 +226,20 @@ def _settle(walk: Walk, transient: int) -> None:
     Each state is compared with the one after the last power of two steps (R. P. Brent,
     BIT 20 (1980) 176-184).
     """
-    last, seen, seen_at = np.full(len(walk.lanes), transient), walk.y.copy(), 0
+    last = np.full(len(walk.lanes), transient)
+    seen = walk.y.copy()
+    seen_at = 0
     for k in walk.steps(transient):
         lanes = walk.lanes
-        repeats = lanes[
-            (walk.y[:, lanes] == seen[:, lanes]).all(axis=0)
-            & (last[lanes] == transient)
-        ]
+        is_same = (walk.y[:, lanes] == seen[:, lanes]).all(axis=0)
+        repeats = lanes[is_same & (last[lanes] == transient)]
         last[repeats] = k + (transient - k) % (k - seen_at)
+
         walk.lanes = lanes[last[lanes] > k]
         if k == max(1, 2 * seen_at):
-            seen, seen_at = walk.y.copy(), k
+            seen = walk.y.copy()
+            seen_at = k
+
     walk.lanes = np.flatnonzero(walk.outcome == STRUCK)
     walk.taken[walk.lanes] = transient
 
@@ -198,11 +252,9 @@ def _keep(walk: Walk, strides: int, shown: int) -> tuple[np.ndarray, np.ndarray]
     rows = np.full((shown, len(_SHOWN), n), np.nan)
     growth = Exponents.begin(m, n, _BLOCKS)
     for k in walk.steps(strides, exact=True):
-        block = (
-            (k - 1 - _ALIGNMENT) * _BLOCKS // (strides - _ALIGNMENT)
-            if k > _ALIGNMENT
-            else None
-        )
+        block = None
+        if k > _ALIGNMENT:
+            block = (k - 1 - _ALIGNMENT) * _BLOCKS // (strides - _ALIGNMENT)
         growth.step(walk.jacobian, walk.lanes, block)
         if k > strides - shown and len(walk.lanes):
             rows[k - 1 - strides + shown][:, walk.lanes] = _row(walk)
@@ -224,12 +276,9 @@ def _row(walk: Walk) -> np.ndarray:
     slope = walk.slope[lanes]
     unit = 0.75 * scale_of(y[0])
     again = problem.map(y / unit, times, problem.parameters(slope, unit))
-    error = np.vstack(
-        [
-            np.abs(again.image * unit - image) / sizes(image),
-            np.abs(again.times[-1] / times[-1] - 1),
-        ]
-    )
-    return np.vstack(
-        [problem.start(y, slope), times[-1], SAFETY_FACTOR * (error.max(axis=0) + EPS)]
-    )
+
+    of_image = np.abs(again.image * unit - image) / sizes(image)
+    of_period = np.abs(again.times[-1] / times[-1] - 1)
+    error = np.vstack([of_image, of_period]).max(axis=0)
+    bound = SAFETY_FACTOR * (error + EPS)
+    return np.vstack([problem.start(y, slope), times[-1], bound])

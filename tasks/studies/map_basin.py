@@ -4,12 +4,13 @@ fall.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gaitsweep.tasks.branches import atlas as atlases
+from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.status import over
 from gaitsweep.tasks.contract.tables import Arrays, nothing, stacked, table
@@ -25,6 +26,7 @@ _AROUND = (0.4, 2.0)
 #: Columns of points of the section, and of areas.
 _POINTS = ("slope", "gait", "stance_angle", "stance_rate", "swing_rate")
 _AREAS = ("slope", "outcome", "area", "standard_error", "share", "starts")
+_Row = tuple[Any, ...]
 
 
 def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -63,107 +65,184 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     options = registry.options("basin", params)
     walker = walker_of_line(params["line"])
     problem = Problem(walker)
-    time_unit = walker.time_unit
-    areas, basins, gaits, manifolds = (list[tuple[Any, ...]]() for _ in range(4))
     branches = atlases.from_arrays(inputs[0])
     slopes = np.asarray(params["slope"], float)
+
+    rows = _Rows(walker.time_unit)
     for slope in slopes:
-        targets = {}
-        for label in ("long", "short"):
-            known, y = gaits_at(problem, branches, np.array([slope]), label)
-            if len(known):
-                targets[label] = y[:, 0]
-        if "long" not in targets:
-            areas.append((slope, NO_START, 0.0, 0.0, np.nan, 0))
+        gaits = _gaits(problem, branches, slope)
+        if "long" not in gaits:
+            rows.areas.append((slope, NO_START, 0.0, 0.0, np.nan, 0))
             continue
-        starts, cell = _starts(problem, targets["long"], options, time_unit)
-        grid = starts.reshape(problem.m, int(options["size"]), -1)
-        for label, y in targets.items():
-            gaits.append((slope, label, *_section(y[:, None], time_unit)))
-            saddle = saddle_at(problem, y, float(slope))
-            if saddle:
-                edge = stable_manifold(problem, saddle, float(slope), grid)
-                # To seven digits, as the steps simulated there are accurate; an archive
-                # packs these well.
-                manifolds.append(
-                    (
-                        slope,
-                        label,
-                        *_section(edge.astype(np.float32).astype(float), time_unit),
-                    )
-                )
-        n = starts.shape[1]
-        neighbourhoods = {
-            label: Neighbourhoods(problem, y[:, None], np.array([slope]))
-            for label, y in targets.items()
-        }
-        homes = {
-            label: home.some(np.zeros(n, int))
-            for label, home in neighbourhoods.items()
-            if home.radius[0]
-        }
-        walk = Walk(problem, starts, np.full(n, slope))
-        outcome = attractors(walk, homes, int(options["steps"]))
-        taken = np.minimum(walk.taken, int(options["steps"]))
-        basins.append(
-            (walk.slope, starts[0], *(starts[1:] / time_unit), outcome, taken)
-        )
-        for name, area, error in _areas(
-            outcome.reshape(int(options["size"]), -1), cell
-        ):
-            share = np.mean(outcome == name)
-            areas.append(
-                (slope, name, area / time_unit, error / time_unit, share, len(outcome))
-            )
-    columns = ("slope", *_POINTS[2 : 2 + problem.m], "outcome", "steps")
-    tables = stacked("basin", basins, columns) if basins else {}
-    tables |= stacked("fixed_points", gaits, _POINTS)
-    edges = stacked("stable_manifold", manifolds, _POINTS)
-    if problem.m == 2:
-        del edges["stable_manifold/swing_rate"]
-    # Points of a slope are numbered across saddles.
-    _, first, place = np.unique(
-        edges["stable_manifold/slope"], return_index=True, return_inverse=True
-    )
-    edges["stable_manifold/point"] = np.arange(len(place)) - first[place]
-    return (
-        tables
-        | edges
-        | table("areas", areas, _AREAS)
-        | ({} if basins else nothing(over("long gait", slopes)))
-    )
+
+        grid = _grid(gaits["long"], options, walker.time_unit)
+        for label, y in gaits.items():
+            rows.add_gait(slope, label, y)
+            rows.add_manifold(slope, label, _manifold(problem, y, slope, grid))
+
+        outcome, taken = _outcomes(problem, gaits, slope, grid, int(options["steps"]))
+        rows.add_outcomes(slope, grid, outcome, taken)
+
+    tables = rows.tables(problem.m)
+    if not rows.basins:
+        tables |= nothing(over("long gait", slopes))
+    return tables
 
 
-def _section(y: np.ndarray, time_unit: float) -> list[Any]:
-    """Angle and both rates of points of the section, shape (m, n)."""
-    return [y[0], *(y[1:] / time_unit), np.nan][:3]
+def _gaits(
+    problem: Problem,
+    branches: list[Branch],
+    slope: float,
+) -> dict[str, np.ndarray]:
+    """The long and the short gait at a slope, shape (m,) each, as far as there are."""
+    gaits = {}
+    for label in ("long", "short"):
+        known, y = gaits_at(problem, branches, np.array([slope]), label)
+        if len(known):
+            gaits[label] = y[:, 0]
+    return gaits
 
 
-def _starts(
-    problem: Problem, gait: np.ndarray, options: Mapping[str, Any], time_unit: float
-) -> tuple[np.ndarray, float]:
-    """Centres of the grid's cells, shape (m, size^2), angle outermost, and the area of
-    a cell.
+class _Grid(NamedTuple):
+    """Initial conditions at the centres of cells.
+
+    Attributes
+    ----------
+    y : ndarray, shape (m, size, size) [rad, rad/sqrt(leg/g)]
+        Section coordinates, the angle along the first side, the rate along the second.
+    cell : float
+        Area of a cell.
     """
+
+    y: np.ndarray
+    cell: float
+
+
+def _grid(gait: np.ndarray, options: Mapping[str, Any], time_unit: float) -> _Grid:
+    """The grid over the ranges of a study, by default those around the long gait."""
     size = int(options["size"])
-    ranges = []
-    for i, (key, unit) in enumerate(
-        (("stance_angle", 1.0), ("stance_rate", time_unit))
-    ):
-        limits = options[key]
-        ranges.append(
-            np.sort(
-                np.array(limits, float) * unit
-                if limits
-                else np.array(_AROUND) * gait[i]
-            )
+    angles = _range(options["stance_angle"], 1.0, gait[0])
+    rates = _range(options["stance_rate"], time_unit, gait[1])
+
+    number = np.arange(size) + 0.5
+    sides = [low + (high - low) * number / size for low, high in (angles, rates)]
+    angle, rate = np.meshgrid(*sides, indexing="ij")
+
+    # Other rates keep the ratio to the stance rate that they have in the gait.
+    others = [own / gait[1] * rate for own in gait[2:]]
+    cell = np.prod([(high - low) / size for low, high in (angles, rates)])
+    return _Grid(np.stack([angle, rate, *others]), float(cell))
+
+
+def _range(limits: Sequence[float], unit: float, of_gait: float) -> np.ndarray:
+    """From and to, rising, of a coordinate: as the study has them, in some unit, or
+    around the gait's.
+    """
+    if limits:
+        return np.array(limits, float) * unit
+    # Rates are negative.
+    return np.sort(np.array(_AROUND) * of_gait)
+
+
+def _manifold(
+    problem: Problem,
+    y: np.ndarray,
+    slope: float,
+    grid: _Grid,
+) -> np.ndarray | None:
+    """Points of a gait's stable manifold on the grid, shape (m, k); None if it is no
+    saddle.
+    """
+    saddle = saddle_at(problem, y, float(slope))
+    if saddle is None:
+        return None
+    points = stable_manifold(problem, saddle, float(slope), grid.y)
+    # To seven digits, as the steps simulated there are accurate; an archive packs these
+    # well.
+    return points.astype(np.float32).astype(float)
+
+
+def _outcomes(
+    problem: Problem,
+    gaits: Mapping[str, np.ndarray],
+    slope: float,
+    grid: _Grid,
+    steps: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What becomes of every initial condition, and the steps that it takes, at most so
+    many, shape (size^2,) each.
+    """
+    starts = grid.y.reshape(problem.m, -1)
+    n = starts.shape[1]
+    homes = {}
+    for label, y in gaits.items():
+        home = Neighbourhoods(problem, y[:, None], np.array([slope]))
+        if home.radius[0]:
+            homes[label] = home.some(np.zeros(n, int))
+
+    walk = Walk(problem, starts, np.full(n, slope))
+    outcome = attractors(walk, homes, steps)
+    return outcome, np.minimum(walk.taken, steps)
+
+
+class _Rows:
+    """Rows of the task's tables, in the walker's units."""
+
+    def __init__(self, time_unit: float):
+        self._time_unit = time_unit
+        self.basins: list[_Row] = []
+        self.gaits: list[_Row] = []
+        self.manifolds: list[_Row] = []
+        self.areas: list[_Row] = []
+
+    def add_gait(self, slope: float, label: str, y: np.ndarray) -> None:
+        """Add a gait, shape (m,)."""
+        self.gaits.append((slope, label, *self._on_section(y[:, None])))
+
+    def add_manifold(self, slope: float, label: str, points: np.ndarray | None) -> None:
+        """Add points, shape (m, k), of a gait's stable manifold, if it has one."""
+        if points is not None:
+            self.manifolds.append((slope, label, *self._on_section(points)))
+
+    def add_outcomes(
+        self,
+        slope: float,
+        grid: _Grid,
+        outcome: np.ndarray,
+        taken: np.ndarray,
+    ) -> None:
+        """Add what becomes of the initial conditions, shape (size^2,), and its areas."""
+        size = grid.y.shape[1]
+        n, unit = len(outcome), self._time_unit
+        angle, *rates = grid.y.reshape(-1, n)
+        in_units = [rate / unit for rate in rates]
+        self.basins.append((np.full(n, slope), angle, *in_units, outcome, taken))
+
+        for name, area, error in _areas(outcome.reshape(size, size), grid.cell):
+            share = np.mean(outcome == name)
+            self.areas.append((slope, name, area / unit, error / unit, share, n))
+
+    def tables(self, m: int) -> Arrays:
+        """The tables, of m coordinates."""
+        columns = ("slope", *_POINTS[2 : 2 + m], "outcome", "steps")
+        basins = stacked("basin", self.basins, columns) if self.basins else {}
+        gaits = stacked("fixed_points", self.gaits, _POINTS)
+        manifolds = stacked("stable_manifold", self.manifolds, _POINTS)
+        if m == 2:
+            del manifolds["stable_manifold/swing_rate"]
+
+        # Points of a slope are numbered across saddles.
+        _, first, place = np.unique(
+            manifolds["stable_manifold/slope"], return_index=True, return_inverse=True
         )
-    sides = [
-        low + (high - low) * (np.arange(size) + 0.5) / size for low, high in ranges
-    ]
-    angle, rate = (g.ravel() for g in np.meshgrid(*sides, indexing="ij"))
-    y = np.vstack([angle, rate, *(g / gait[1] * rate for g in gait[2:])])
-    return y, float(np.prod([(high - low) / size for low, high in ranges]))
+        manifolds["stable_manifold/point"] = np.arange(len(place)) - first[place]
+        return basins | gaits | manifolds | table("areas", self.areas, _AREAS)
+
+    def _on_section(self, y: np.ndarray) -> list[Any]:
+        """Angle and both rates of points of the section, shape (m, n)."""
+        angle, *rates = y
+        in_units = [rate / self._time_unit for rate in rates]
+        return [angle, *in_units, np.nan][:3]
 
 
 def _areas(outcome: np.ndarray, cell: float) -> list[tuple[str, float, float]]:
@@ -180,11 +259,8 @@ def _areas(outcome: np.ndarray, cell: float) -> list[tuple[str, float, float]]:
             padded[1:-1, :-2],
         ):
             boundary |= neighbour != inside
-        areas.append(
-            (
-                str(name),
-                float(inside.sum() * cell),
-                float(cell * np.sqrt(boundary.sum() / 12)),
-            )
-        )
+
+        area = inside.sum() * cell
+        error = cell * np.sqrt(boundary.sum() / 12)
+        areas.append((str(name), float(area), float(error)))
     return areas

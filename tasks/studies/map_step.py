@@ -49,42 +49,45 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     rate follows from the others.
     """
     start = _on_section(begin(params), params)
-    problem, parameters, y = start.problem, start.parameters, start.y
+    problem = start.problem
+    parameters = start.parameters
+    y = start.y
     assert y is not None
     walker, scale = problem.walker, parameters[1]
-    time_unit = walker.time_unit
-    units = np.array(
-        [1.0, time_unit, time_unit]
-    )  # by which the walker's are multiplied
     located = _to_heelstrike(start, params)
-    step = problem.step(y, np.array(located.times)[:, None], parameters, slope=True)
-    times = step.times
-    before, after = (
-        _start(problem, section, parameters) for section in (y, step.image)
-    )
-    image = after[0] * scale / units
-    jacobian = (
-        after[1]
-        @ step.jacobian[:, :, 0]
-        @ np.linalg.inv(before[1])
-        * units
-        / units[:, None]
-    )
+    guessed = np.array(located.times)[:, None]
+    step = problem.step(y, guessed, parameters, slope=True)
+
+    # In the solver's units these are the walker's times its unit of time.
+    units = np.array([1.0, walker.time_unit, walker.time_unit])
+    _, by_section_before = _start(problem, y, parameters)
+    after, by_section_after = _start(problem, step.image, parameters)
+    by_before = np.linalg.inv(by_section_before)
+    by_state = by_section_after @ step.jacobian[:, :, 0] @ by_before
+    by_slope = by_section_after @ step.by_drive[:, 0]
+
+    image = after * scale / units
+    jacobian = by_state * units / units[:, None]
+
     values, vectors = _modes(jacobian, walker.point_foot or walker.massless_leg)
+    times = step.times[:, 0] * walker.time_unit
     return {
         "state": image,
         "jacobian": jacobian,
-        "by_slope": after[1] @ step.by_drive[:, 0] * scale / units,
+        "by_slope": by_slope * scale / units,
         "eigenvalues": values,
         "eigenvectors": vectors,
-        "kneestrike_time": float(times[0, 0] * time_unit) if walker.knees else None,
-        "heelstrike_time": float(times[-1, 0] * time_unit),
+        "kneestrike_time": float(times[0]) if walker.knees else None,
+        "heelstrike_time": float(times[-1]),
         **_losses(problem, step, image[:1], parameters),
     }
 
 
 def _losses(
-    problem: Problem, step: Stride, angle: np.ndarray, parameters: Parameters
+    problem: Problem,
+    step: Stride,
+    angle: np.ndarray,
+    parameters: Parameters,
 ) -> dict[str, float | None]:
     """Energies lost in the strikes of a step that ends at a stance angle."""
     walker, scale = problem.walker, parameters[1]
@@ -108,7 +111,8 @@ def _to_heelstrike(start: Start, params: Mapping[str, Any]) -> Step:
     lane = start.parameters[:, 0]
     step = take_step(start.problem, start.x, lane, locked=start.locked)
     if step.outcome != STRUCK:
-        state, cause = np.array(params["state"], float), CAUSES[step.outcome]
+        state = np.array(params["state"], float)
+        cause = CAUSES[step.outcome]
         raise WalkerError(
             "state", tuple(state.tolist()), f"leads to no heelstrike ({cause})"
         )
@@ -120,7 +124,8 @@ def _on_section(start: Start, params: Mapping[str, Any]) -> Start:
     if start.y is not None:
         return start
     step = _to_heelstrike(start, params)
-    walker, parameters = start.problem.walker, start.parameters
+    walker = start.problem.walker
+    parameters = start.parameters
     links = len(step.state) // 2
     state = step.state[[0, links, links + 1]] * parameters[1]
     state[1:] /= walker.time_unit
@@ -128,7 +133,9 @@ def _on_section(start: Start, params: Mapping[str, Any]) -> Start:
 
 
 def _start(
-    problem: Problem, y: np.ndarray, parameters: np.ndarray
+    problem: Problem,
+    y: np.ndarray,
+    parameters: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Scaled angle, stance and thigh rate at the start of a step from section
     coordinates (3, 1), and derivatives.
@@ -145,7 +152,8 @@ def _modes(jacobian: np.ndarray, singular: bool) -> tuple[np.ndarray, np.ndarray
     """
     values, vectors = (x.astype(complex) for x in np.linalg.eig(jacobian))
     order = np.lexsort((-values.imag, -values.real, -np.abs(values)))
-    values, vectors = values[order], vectors[:, order]
+    values = values[order]
+    vectors = vectors[:, order]
     if singular:  # a heelstrike of these legs leaves the thigh's rate no freedom
         values[2] = 0.0
     largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=0)[None], axis=0)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import heyoka as hy
@@ -80,41 +80,93 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
         If the walker or the state is invalid.
     """
     start = begin(params)
-    problem, parameters, x = start.problem, start.parameters, start.x
-    walker, scale = problem.walker, parameters[1, 0]
-    n, phases, time_unit = int(params["steps"]), problem.phases, walker.time_unit
-    states, times = np.full((n + 1, 6), np.nan), np.full((n, phases), np.nan)
-    when = _sampling(params, time_unit)
-    motion = []
-    outcome, taken, locked = STRUCK, 0, start.locked
-    for k in range(n + 1):
-        states[k] = _all_angles(x) * scale
-        if k == n:
+    walker, scale = start.problem.walker, start.parameters[1, 0]
+    when = _sampling(params, walker.time_unit)
+    taken = _take_steps(start, params, when)
+
+    result = _of_steps(taken.states, taken.times, walker.time_unit)
+    result["cause"] = CAUSES[taken.outcome]
+    result["steps_taken"] = taken.count
+    result["above_ground_of"] = start.ground
+    if isinstance(when, _Series):
+        result["series"] = _series(walker, taken.motion, taken.times, scale)
+    elif when:
+        result |= _of_phases(walker, taken.motion, taken.times.shape, scale)
+    return result
+
+
+@dataclass
+class _Taken:
+    """Steps taken, of n.
+
+    Attributes
+    ----------
+    states : ndarray, shape (n + 1, 6) [rad, rad/sqrt(leg/g)]
+        Angles and rates of three links before each step and after the last; NaN after a
+        fall.
+    times : ndarray, shape (n, phases) [sqrt(leg/g)]
+        Of the strikes since the start of the step.
+    motion : list of list of ndarray
+        Samples of each phase of each step, scaled.
+    count : int
+        How many were taken.
+    outcome : int
+        Of the last one, index of CAUSES.
+    """
+
+    states: np.ndarray
+    times: np.ndarray
+    motion: list[list[np.ndarray]] = field(default_factory=list)
+    count: int = 0
+    outcome: int = STRUCK
+
+    @classmethod
+    def of(cls, n: int, phases: int) -> _Taken:
+        """None taken yet of n."""
+        return cls(np.full((n + 1, 6), np.nan), np.full((n, phases), np.nan))
+
+    def add(self, k: int, step: Step, locked: bool) -> None:
+        """Add what a step shows, which has no kneestrike if the knee was locked."""
+        first = self.times.shape[1] - 1 if locked else 0
+        self.times[k, first : first + len(step.times)] = step.times
+        self.motion.append(step.motion)
+        self.outcome = step.outcome
+
+
+def _take_steps(
+    start: Start, params: Mapping[str, Any], when: Sampling | None
+) -> _Taken:
+    """Take steps with their pushes and ground, until the walker falls."""
+    problem, parameters = start.problem, start.parameters[:, 0]
+    n, scale = int(params["steps"]), parameters[1]
+    taken = _Taken.of(n, problem.phases)
+    x, locked = start.x, start.locked
+    taken.states[0] = _all_angles(x) * scale
+    for k in range(n):
+        push, height = _disturbance(params, k, problem.walker)
+        pushed = _push(x, push / scale)
+        step = take_step(problem, pushed, parameters, height, when, locked)
+        taken.add(k, step, locked)
+        if step.outcome != STRUCK:
             break
-        push = np.array(params.get("pushes", {}).get(k, (0.0, 0.0)))
-        x = _push(x, push * time_unit / scale)
-        height = float(params.get("ground", {}).get(k, 0.0)) / walker.l
-        step = take_step(problem, x, parameters[:, 0], height, when, locked)
-        first = phases - 1 if locked else 0
-        times[k, first : first + len(step.times)] = step.times
-        motion.append(step.motion)
-        outcome, locked = step.outcome, False
-        if outcome != STRUCK:
-            break
-        taken, x = k + 1, step.state
+
+        x, locked = step.state, False
+        taken.count = k + 1
+        taken.states[k + 1] = _all_angles(x) * scale
         if isinstance(when, _Series):
             when.began += step.times[-1]
+    return taken
 
-    result = _of_steps(states, times, time_unit) | {
-        "cause": CAUSES[outcome],
-        "steps_taken": taken,
-        "above_ground_of": start.ground,
-    }
-    if isinstance(when, _Series):
-        result["series"] = _series(walker, motion, times, scale)
-    elif when:
-        result |= _of_phases(walker, motion, n, phases, scale)
-    return result
+
+def _disturbance(
+    params: Mapping[str, Any], k: int, walker: Walker
+) -> tuple[np.ndarray, float]:
+    """The push before a step, and the height by which the ground rises at its end, over
+    l.
+    """
+    push = params.get("pushes", {}).get(k, (0.0, 0.0))
+    height = params.get("ground", {}).get(k, 0.0)
+    return np.array(push) * walker.time_unit, float(height) / walker.l
 
 
 def _of_steps(
@@ -143,9 +195,13 @@ def _sampling(params: Mapping[str, Any], time_unit: float) -> Sampling | None:
 
 
 def _of_phases(
-    walker: Walker, motion: list[list[np.ndarray]], n: int, phases: int, scale: float
+    walker: Walker,
+    motion: list[list[np.ndarray]],
+    shape: tuple[int, ...],
+    scale: float,
 ) -> dict[str, Any]:
-    """Samples of each phase of n steps, in the walker's units."""
+    """Samples of each phase of n steps, shape (n, phases), in the walker's units."""
+    n, phases = shape
     samples = np.full((n, 4, phases, SAMPLES + 1), np.nan)
     for k, of_step in enumerate(motion):
         first = phases - len(of_step) if k == 0 and len(of_step) < phases else 0
@@ -473,13 +529,9 @@ class _Phase:
         )
         end, state = float(self._taylor.time), np.array(self._taylor.state)
         event = -1 - int(stop)  # heyoka counts the events that stop it down from -1
-        outcome = (
-            self.outcomes[event]
-            if event in (0, 1, 2)
-            else NO_KNEESTRIKE
-            if self.links == 3
-            else NO_HEELSTRIKE
-        )
+        outcome = NO_KNEESTRIKE if self.links == 3 else NO_HEELSTRIKE
+        if event in (0, 1, 2):
+            outcome = self.outcomes[event]
         if not np.isfinite(state).all():
             outcome = LOST
         samples = []

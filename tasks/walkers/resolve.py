@@ -195,14 +195,11 @@ def _check_names(
     for key in values:
         if key not in known:
             others = [name for name in suggested if name != key]
-            near = " or ".join(
-                f"`{name}`" for name in difflib.get_close_matches(key, others)
-            )
-            hint = (
-                f"did you mean {near}?"
-                if near
-                else f"keys: {', '.join(k for k in others if k != 'slope')}"
-            )
+            near = difflib.get_close_matches(key, others)
+            if near:
+                hint = f"did you mean {' or '.join(f'`{name}`' for name in near)}?"
+            else:
+                hint = f"keys: {', '.join(k for k in others if k != 'slope')}"
             said = "; ".join(filter(None, [why_no_key({"key": key}), hint]))
             raise WalkerError(key, values[key], f"is not a walker key ({said})")
 
@@ -248,30 +245,43 @@ def resolve(
     given = {**{key: table[key] for key in _DERIVED if key in table}, **given}
     tuned = _free_keys(table.get("tuned", ()), given)
     own, changes = split({k: v for k, v in table.items() if k not in _MORE}, given)
-    links = {
-        link: (key, given[key])
-        for key in given.keys() - changes.keys()
-        for link in _OF_LINKS[key]
-    }
+    of_links = given.keys() - changes.keys()
+    links = _links({key: given[key] for key in of_links})
+
     start = from_table(own)
-    derived = {
-        key: changes.pop(key) for key in _DERIVED if changes.get(key) is not None
-    }
-    for key, value in derived.items():
-        check_number(key, value)
+    derived = {}
+    for key in _DERIVED:
+        if changes.get(key) is not None:
+            derived[key] = changes.pop(key)
+            check_number(key, derived[key])
     if "toward" in table and "detuning" not in derived:
         _detuning_ends(table)  # is checked though nothing is detuned
     moved: dict[str, Any] = _moved_values(table, start, derived, changes, links)
     numbers = _numbers_among(changes)
-    for key in (k for k in numbers if k in ONE_LINK):
-        raise WalkerError(
-            key,
-            numbers[key],
-            "is a key of a leg of one link, whose table has `l`, `m` and `c`",
-        )
+    _check_no_link(numbers)
     _check_names(numbers, NUMBERS, _SETTABLE)
     result = replace(start, **moved, **changes)
     return _retuned(result, tuned) if tuned else result
+
+
+def _check_no_link(numbers: Mapping[str, Any]) -> None:
+    """Refuse keys of a leg of one link for a walker of two."""
+    for key, value in numbers.items():
+        if key in ONE_LINK:
+            raise WalkerError(
+                key,
+                value,
+                "is a key of a leg of one link, whose table has `l`, `m` and `c`",
+            )
+
+
+def _links(given: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
+    """Keys of links that those of a leg of one link set, each with that and its value."""
+    links = {}
+    for key, value in given.items():
+        for link in _OF_LINKS[key]:
+            links[link] = key, value
+    return links
 
 
 def _numbers_among(changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -713,8 +723,6 @@ def label(walker: str | Mapping[str, Any]) -> str:
         if key not in ("base", "name", "toward")
     )
     name = table.get("name") or table.get("base")
-    return (
-        f"{name} with {keys}"
-        if table.get("base") == name and keys
-        else str(name or "a walker of its own")
-    )
+    if table.get("base") == name and keys:
+        return f"{name} with {keys}"
+    return str(name or "a walker of its own")

@@ -70,11 +70,9 @@ def check_number(key: str, value: object) -> None:
         raise WalkerError(key, value, "must be finite")
     if value and not MIN_SIZE <= abs(value) <= MAX_SIZE and abs(value) != math.inf:
         # A whole number may be too long to be shown.
-        shown = (
-            value
-            if isinstance(value, float)
-            else f"a number of {value.bit_length()} bits"
-        )
+        shown: object = value
+        if not isinstance(value, float):
+            shown = f"a number of {value.bit_length()} bits"
         raise WalkerError(
             key, shown, f"must be 0 or of a size from {MIN_SIZE:g} to {MAX_SIZE:g}"
         )

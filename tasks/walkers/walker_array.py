@@ -54,12 +54,11 @@ class WalkerArray(Walker):
         return self._size
 
     def __getitem__(self, lane: int) -> Walker:
-        return Walker(
-            **{
-                key: v[lane].item() if isinstance(v, np.ndarray) else v
-                for key, v in self.table().items()
-            }
-        )
+        keys = self.table()
+        for key, value in keys.items():
+            if isinstance(value, np.ndarray):
+                keys[key] = value[lane].item()
+        return Walker(**keys)
 
     def some(self, lanes: np.ndarray) -> WalkerArray:
         """Return some of the walkers.
@@ -68,12 +67,11 @@ class WalkerArray(Walker):
         ----------
         lanes : ndarray of int, shape (k,)
         """
-        return WalkerArray(
-            **{
-                key: v[lanes] if isinstance(v, np.ndarray) else v
-                for key, v in self.table().items()
-            }
-        )
+        keys = self.table()
+        for key, value in keys.items():
+            if isinstance(value, np.ndarray):
+                keys[key] = value[lanes]
+        return WalkerArray(**keys)
 
     @property
     def eps_S(self) -> Any:

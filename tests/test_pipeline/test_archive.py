@@ -662,6 +662,19 @@ def test_equal_archives_do_not_differ(made, copy):
     assert diff.diff(made, copy) == ["`stance_angle` is in rad and in degree"]
 
 
+def test_reasons_are_compared_as_sentences_whatever_their_numbers(made, copy):
+    def renumber(file):
+        texts = file["reason_text"][:]
+        file["reason_text"][:] = texts[::-1]
+        file["reason"][:] = len(texts) - 1 - file["reason"][:]
+
+    _edit(copy, renumber)
+    assert diff.diff(made, copy) == []
+
+    _edit(copy, lambda file: file["reason"].__setitem__((slice(2), 0, 0), 0))
+    assert diff.diff(made, copy) == ["`reason`: 2 of 800 differ"]
+
+
 def test_walkers_that_differ_differ(made, copy):
     """A parameter that all walkers share is an attribute."""
     with netCDF4.Dataset(copy, "a") as file:

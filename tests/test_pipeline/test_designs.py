@@ -101,6 +101,18 @@ def test_a_plan_tells_what_designs_cost(tmp_path):
     assert todo.seconds == pytest.approx(2 * Graph(many).seconds("design"), rel=0.3)
 
 
+def test_the_slopes_of_curves_are_a_window_in_their_plan(tmp_path):
+    path = tmp_path / "folds.toml"
+    axes = "[axes]\nslope = [0.001, 0.1]\nR = [0.0, 0.05, 0.1]\n"
+    options = '[options]\nkey = "w_t"\nfrom = 0.0\nto = 0.1\n'
+    path.write_text(f'name = "folds"\nkind = "curve"\nwalker = "B"\n{axes}{options}')
+    planned = Plan(read(path), Journal(tmp_path / "journal"))
+
+    first = next(plan.lines(planned, summary(planned), path))
+
+    assert first.startswith("folds: 3 R, 3 lines ->")
+
+
 def test_a_plan_of_a_billion_designs_is_made_at_once(tmp_path):
     axes = "R = { from = 0.1, to = 0.12, n = 31623 }\nm_s = { from = 0.03, to = 0.04, n = 31623 }"
     study = read(written(tmp_path, '"B"', axes))

@@ -67,6 +67,10 @@ def refuse(tmp_path):
             "Unknown column of measured.csv `periode`, did you mean `period`?",
         ),
         (
+            "slope [rad],period [s],walker_error\n0.03,1,1\n",
+            "Unknown column of measured.csv `walker_error`, did you mean `walker`?",
+        ),
+        (
             "slope [rad],period [ms]\n0.03,1\n",
             "The column `period [ms]` of measured.csv must be `period [s]`",
         ),

@@ -207,6 +207,21 @@ def _torques_of_the_lock(slow, step, slope):
         yield slow.motion(state, slope, lock)[1][10]
 
 
+@pytest.mark.parametrize("name", ["E", "physical"])
+def test_the_least_impulse_of_the_ground_is_that_of_either_strike(name):
+    slope = 0.036 if name == "physical" else 0.01
+    found = gait(name, slope, "long")
+    walker = resolve(name)
+    rates = [found["stance_rate"], found["thigh_rate"], found["shank_rate"]]
+
+    step = oracle.Oracle(walker.table()).step(found["stance_angle"], rates, slope)
+
+    least = step.impulse_heelstrike[1]
+    if walker.knees:
+        least = min(least, step.impulse_kneestrike[1])
+    assert found["least_normal_impulse"] == pytest.approx(least, rel=1e-7)
+
+
 def test_the_torque_is_that_of_the_lock_at_every_instant():
     # A walker with nothing symmetric about it, so no term can hide.
     walker = Walker(
