@@ -3,6 +3,7 @@ this process by the loop of a run.
 """
 
 from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -155,8 +156,7 @@ def gaits(
     checks = [line.check for line in lines]
     # A list that becomes shorter while its lines are solved.
     lines = [line for line in lines if len(line.at)]
-    asked = sum(len(line.at) for line in lines)
-    with dispatch.for_question(asked, len(lines)):
+    with _question(lines):
         found = _solve_in_units(base, lines, flat)
         points = _in_order(found, unsolvable, base.variables, checks)
 
@@ -165,6 +165,12 @@ def gaits(
         points.values.pop(name, None)
     study = replace(base, checks=tuple(checks[:1]), variables=kept)
     return _dataset(points, grid[0], keys, study)
+
+
+def _question(lines: list[_Line]) -> AbstractContextManager[None]:
+    """Let solvers be compiled for what is asked of some lines."""
+    points = sum(len(line.at) for line in lines)
+    return dispatch.for_question(points, len(lines))
 
 
 def _base(

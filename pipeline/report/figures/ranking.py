@@ -83,26 +83,31 @@ def sensitivities(source: Source) -> Sketch | None:
         return None
 
     first = data[data["measure"] == data["measure"].iloc[0]]
-    ranked = _ranked(first)
-    series = data[["walker", "gait"]].drop_duplicates().to_records(index=False)
-    sketch = _drawn(data, ranked, [(str(a), str(b)) for a, b in series])
+    sketch = _drawn(data, _ranked(first))
+    return sketch.finish(data.drop(columns="row"), **_told(data, first, each))
 
+
+def _told(
+    data: pd.DataFrame, first: pd.DataFrame, each: Mapping[str, _Tolerances]
+) -> dict[str, Any]:
+    """What the words of the figure take: its measures, and of the first of these the key
+    on which it depends most.
+    """
     greatest = first.loc[first["median"].idxmax()]
     tolerances = each[str(greatest["walker"])]
     measures = _words(data["measure"].unique().tolist())
     headings = dict(zip(("first", "second", "third"), measures, strict=False))
-    return sketch.finish(
-        data.drop(columns="row"),
+    return {
         **headings,
-        most=greatest["key"],
-        change=float(greatest["median"]),
-        of=measures[0],
-        tolerance=tolerances.words(str(greatest["key"])),
-        gait=" and ".join(data["gait"].unique()),
-        walker=", ".join(data["walker"].unique()),
-        length=", ".join(dict.fromkeys(one.length_words for one in each.values())),
-        angle=_OF_ANGLE,
-    )
+        "most": greatest["key"],
+        "change": float(greatest["median"]),
+        "of": measures[0],
+        "tolerance": tolerances.words(str(greatest["key"])),
+        "gait": " and ".join(data["gait"].unique()),
+        "walker": ", ".join(data["walker"].unique()),
+        "length": ", ".join(dict.fromkeys(one.length_words for one in each.values())),
+        "angle": _OF_ANGLE,
+    }
 
 
 def _of_walkers(
@@ -121,31 +126,35 @@ def _ranked(changes: pd.DataFrame) -> list[str]:
     return [str(key) for key in greatest.sort_values(ascending=False).index]
 
 
-def _drawn(
-    data: pd.DataFrame, ranked: list[str], series: list[tuple[str, str]]
-) -> Sketch:
+def _drawn(data: pd.DataFrame, ranked: list[str]) -> Sketch:
     """The figure, a panel for each measure, with keys as they are ranked, and the gaits
-    of a label and walker below one another.
+    of a label and walker below one another; the data gain the row of each.
     """
     measures = data["measure"].unique().tolist()
+    series = data[["walker", "gait"]].drop_duplicates().values.tolist()
     height = 70 + (12 + 4 * len(series)) * len(ranked)
     sketch = Sketch("sensitivities", height, 1, len(measures), sharey=True)
 
-    data["row"] = [-float(ranked.index(key)) for key in data["key"]]
+    data["row"] = _rows(data, ranked)
     colours = _colours([walker for walker, _ in series])
-    for number, (walker, gait) in enumerate(series):
+    for walker, gait in series:
         ink = colours[walker]
         face = ink if gait == "long" else "none"
         is_own = (data["walker"] == walker) & (data["gait"] == gait)
-        data.loc[is_own, "row"] -= _APART * (number - 0.5 * (len(series) - 1))
-
+        own = data[is_own]
         for axes, measure in zip(sketch.panels, measures, strict=True):
-            some = data[is_own & (data["measure"] == measure)]
-            _draw(sketch, axes, some, measure, ink, face)
+            _draw(sketch, axes, own[own["measure"] == measure], measure, ink, face)
         sketch.dot_key(f"{walker}, {gait}", ink, mfc=face, ms=4.5)
 
     sketch.panels[0].set_yticks([-k for k in range(len(ranked))], ranked)
     return sketch
+
+
+def _rows(data: pd.DataFrame, ranked: list[str]) -> pd.Series:
+    """Where each change is drawn: at the rank of its key, gaits apart."""
+    number = data.groupby(["walker", "gait"], sort=False).ngroup()
+    beside = number - 0.5 * number.max()
+    return -data["key"].map(ranked.index) - _APART * beside
 
 
 def _colours(walkers: list[str]) -> dict[str, str]:
