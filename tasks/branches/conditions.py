@@ -245,9 +245,16 @@ def _knee_acceleration(at: Evaluation) -> ndarray:
     links = [0, 0, 1, 2]
     q, rate = start[:3][links] * scale, start[3:][links] * scale
 
-    chain = Chain(at.problem.every_walker)
-    *_, thigh, shank = chain.accelerations(q, rate, slope, True)
-    return np.asarray((thigh - shank) / scale)
+    bending = np.empty(len(scale))
+    n = len(at.q)
+    for numbers, problem, _ in at.problem.at_slopes(np.exp(at.q)):
+        chain = Chain(problem.every_walker)
+        lanes = (numbers + n * np.arange(s)[:, None]).ravel()
+        *_, thigh, shank = chain.accelerations(
+            q[:, lanes], rate[:, lanes], slope[lanes], True
+        )
+        bending[lanes] = thigh - shank
+    return bending / scale
 
 
 def _stationary(at: Evaluation, by_Z: Coordinates) -> ndarray:

@@ -10,6 +10,7 @@ import pytest
 from gaitsweep import gaits, simulate, solve, step_map
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.tasks.branches import atlas as atlases
+from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.joint import evaluate
 from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.measures.drive import push_off
@@ -353,3 +354,21 @@ def test_what_nothing_drives_is_refused_on_level_ground():
 def test_a_wrong_key_is_refused_with_its_bound(keys, said):
     with pytest.raises(WalkerError, match=said):
         resolve("B", keys)
+
+
+def test_a_released_knee_feels_the_torque_that_drives():
+    """Where it begins to bend backwards a branch ends; a torque had no part in it."""
+    keys = {"trailing_knee": "locked", "hip_torque": 0.05}
+    walker, slope = resolve("C", keys), 0.02
+    drive = Drive("hip_torque", slope)
+    bends = CONDITIONS["release_hyperextension"].value
+    w = np.array([-1.6, -1.33, -1.2, 1.76, 2.74])[:, None]
+
+    of_slope = evaluate(Problem(walker), np.vstack([w, [[np.log(slope)]]]))
+    passive = Problem(resolve("C", {"trailing_knee": "locked"}), drive=drive)
+    torque = drive.of(walker)
+    of_torque = evaluate(passive, np.vstack([w, [[np.log(torque)]]]))
+
+    np.testing.assert_allclose(bends(of_torque), bends(of_slope), rtol=1e-9)
+    without = evaluate(Problem(passive.walker), np.vstack([w, [[np.log(slope)]]]))
+    assert abs(bends(without) - bends(of_slope)) > 0.1

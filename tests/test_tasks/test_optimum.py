@@ -485,7 +485,7 @@ def test_a_key_that_changes_nothing_is_an_error():
     }
 
     with pytest.raises(
-        WalkerError, match="`free` must be keys that change gaits.*got g"
+        WalkerError, match="^`free` must hold keys that change more than units; got g"
     ):
         solved(
             "A",
