@@ -132,8 +132,8 @@ def _in_rad(given: States, slope: float | None, degrees: bool) -> dict[str, Any]
 
     wrong = np.flatnonzero(~(slopes.is_slope(column) | slopes.is_level(column)))
     if len(wrong):
-        slopes.check(float(column[wrong[0]]), may_be_level=True)
-        raise Location("", "slope").wrong("must be finite", float(column[wrong[0]]))
+        row = f"row {wrong[0] + 1}" if "slope" in given.values else ""
+        slopes.check(float(column[wrong[0]]), Location(row, "slope"), may_be_level=True)
     return {"slope": column, "table": values, "digits": digits, "sizes": sizes}
 
 

@@ -58,12 +58,15 @@ class GaitTable(pd.DataFrame):
 
 
 def _figure(gait: pd.Series, walks: Walks) -> str:
-    """A gait's steps as HTML; empty where they cannot be simulated again."""
+    """A gait's steps as HTML; empty where they cannot be simulated again, or the table
+    has lost the columns of the state.
+    """
     try:
         picture = base64.b64encode(_picture(gait, walks)).decode()
-    except GaitsweepError:
+    except (GaitsweepError, KeyError):
         return ""
-    words = f"{gait['gait']} step, {'stable' if gait['stable'] == 1 else 'unstable'}"
+    stability = "stable" if gait.get("stable") == 1 else "unstable"
+    words = f"{gait.get('gait', 'a')} step, {stability}"
     return (
         '<figure style="display:inline-block;margin:0 1em .5em 0">'
         f'<img alt="{words}" width="360" src="data:image/svg+xml;base64,{picture}">'

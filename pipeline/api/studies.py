@@ -370,12 +370,9 @@ def _asked(
     if slope is not None and vary == "slope":
         raise place.error("`slope` is varied and cannot be set too")
 
-    given: dict[str, Any] = {"vary": vary}
-    if between is not None:
-        given["between"] = list(between)
-    fields = target.fields(given, Location("", ""))
     slopes = {} if slope is None else {"slope": slope}
-    return {**at, **slopes}, {"measure": next(iter(at)), **fields}
+    sought = {"measure": next(iter(at)), **target.varied(vary, between)}
+    return {**at, **slopes}, sought
 
 
 @in_turn

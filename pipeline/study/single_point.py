@@ -6,7 +6,7 @@ from typing import Any
 
 from gaitsweep.pipeline.dispatch import ask, for_question
 from gaitsweep.pipeline.errors import NoGaitError
-from gaitsweep.pipeline.study import files, slopes
+from gaitsweep.pipeline.study import files, slopes, target
 from gaitsweep.pipeline.study.fields import VIOLATION_LIMITS
 from gaitsweep.pipeline.study.files import Reader
 from gaitsweep.pipeline.study.location import Location
@@ -109,6 +109,8 @@ def solve_at(
     StudyError
         If the walker, a key, the measure, its value, the range or the slope is invalid.
     """
+    if not isinstance(at, Mapping):
+        raise Location("", "at").wrong("must be a table of one measure", at)
     if len(at) != 1:
         raise Location("", "at").wrong("must name one measure", ", ".join(at))
     ((measure, value),) = at.items()
@@ -116,21 +118,17 @@ def solve_at(
     params: dict[str, Any] = {
         "measure": measure,
         "value": Location("", measure).number(value),
-        "vary": vary,
+        **target.varied(vary, between),
     }
     if vary == "slope":
         if slope is not None:
             raise Location("", "slope").wrong("is varied and cannot be set too", slope)
-        for end in between or ():
-            slopes.check(end, Location("", "between"), may_be_level=True)
     else:
         if slope is None:
             place = Location("", "vary")
             raise place.wrong("needs `slope`, as a key is varied", vary)
         slopes.check(slope, may_be_level=True)
         params["slope"] = slope
-    if between is not None:
-        params["between"] = _rising(between, Location("", "between"))
 
     params |= _of_walker(definition, keys, tuned, limits)
     if slope is not None and slopes.is_level(slope):
@@ -173,14 +171,6 @@ def _refuse_undriven(checked: Mapping[str, Any], slope: float) -> None:
     """Refuse a level slope of a walker that was checked, if nothing drives it."""
     if "drive" not in checked["features"]:
         raise slopes.undriven(slope)
-
-
-def _rising(between: Sequence[float], place: Location) -> tuple[float, float]:
-    """The ends of a range, checked."""
-    low, high = (place.number(end) for end in between)
-    if not low < high:
-        raise place.wrong("must rise", f"{low:g} to {high:g}")
-    return low, high
 
 
 def state_of(

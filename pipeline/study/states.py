@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -222,4 +223,5 @@ def _last_digit(text: str) -> float:
     """Size of the last digit of a number as it is written."""
     mantissa, _, exponent = text.lower().partition("e")
     decimals = len(mantissa.partition(".")[2])
-    return float(10.0 ** (int(exponent or 0) - decimals))
+    # In decimals, since the exponent of 0 may be any.
+    return float(Decimal(1).scaleb(int(exponent or 0) - decimals))

@@ -5,6 +5,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from gaitsweep.pipeline.study import slopes
 from gaitsweep.pipeline.study.fields import AT, value_of
 from gaitsweep.pipeline.study.location import Location
@@ -66,6 +68,14 @@ def _measure(
         bound = "must name one measure, here or among the axes"
         raise place.wrong(bound, ", ".join(names) or "none")
     return [*named, *of_axes][0], bool(of_axes)
+
+
+def varied(vary: str, between: Any) -> dict[str, Any]:
+    """What is varied, and its range unless it is None, as arguments give them, checked."""
+    given: dict[str, Any] = {"vary": vary}
+    if between is not None:
+        given["between"] = list(between) if np.iterable(between) else between
+    return fields(given, Location("", ""))
 
 
 def fields(value: Mapping[str, Any], place: Location) -> dict[str, Any]:

@@ -42,6 +42,9 @@ _CONTROL = engine.StepControl(
 _FIRST_STEP, _MAX_POINTS = 0.02, 5000
 #: Why a curve is followed no further within its window.
 BORDER = "border"
+#: Least ln angle at which a curve is followed: steps shrink for ever where a gait
+#: vanishes at a value of a key, as of the push-off against a slope.
+VANISHING, _LEAST_LOG_ANGLE = "vanishing step", -21.0
 #: Largest difference of event times from those of a simulated step.
 _SAME_TIMES = 1e-3
 #: Rounding of rates and durations at an end of walking.
@@ -125,6 +128,8 @@ class _Followed(engine.Tracks):
         point: engine.Point,
         last: Coordinates,
     ) -> ndarray:
+        if (point.Z[0] < _LEAST_LOG_ANGLE).any():
+            return np.array([VANISHING])
         return np.array(["" if self._is_inside(point.Z) else BORDER])
 
     def _nearest_within(self, Z: Coordinates) -> ndarray:

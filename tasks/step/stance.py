@@ -61,4 +61,5 @@ def ground_under(way: np.ndarray) -> np.ndarray:
     """Return by how much gentler the slope is on which both feet stand, [rad], from the
     way between them: of locked knees it is `tilt`.
     """
-    return np.asarray(np.arctan(way.imag / way.real))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.arctan(way.imag / way.real))

@@ -364,6 +364,12 @@ class _Case:
             told = {name: values[place] for name, values in words.items()}
             self.reason[lane] = sentence.format(**told)
 
+    def _say_period(self, lanes: np.ndarray) -> None:
+        """Give some rows the verdict that they repeat after other steps than claimed."""
+        steps = self.steps[lanes].tolist()
+        words = [f"{count} step{'s' if count > 1 else ''}" for count in steps]
+        self.say("period", lanes, steps=words)
+
     def within(
         self,
         state: np.ndarray,
@@ -597,7 +603,7 @@ class _Case:
             self._tell_digits(lanes[are])
             self._judge_shanks(lanes[are])
         else:
-            self.say("period", lanes[are], steps=self.steps[lanes[are]])
+            self._say_period(lanes[are])
 
     def _tell_digits(self, lanes: np.ndarray) -> None:
         """Say of gaits that are farther off than the tolerance to how many digits."""
@@ -702,7 +708,7 @@ class _Case:
         if steps == self.claimed:
             self.say("gait", lanes)
         else:
-            self.say("period", lanes, steps=self.steps[lanes])
+            self._say_period(lanes)
 
     def judge_faults(self) -> None:
         """Tell rows that are gaits with a fault."""
@@ -726,16 +732,17 @@ class _Case:
         for gaits in self.candidates:
             lanes = self.open
             angle, (old, swing) = gaits.state[0, lanes], gaits.before[:, lanes]
+            state = self.rows.state[:, lanes]
+            with np.errstate(invalid="ignore"):
+                is_near = self.within(state, gaits.state[:, lanes], lanes, 2 * _CHANGED)
             for before in (
                 [-angle, old, swing],
                 [angle, old, swing],
                 [angle, swing, old],
             ):
                 with np.errstate(invalid="ignore"):
-                    are = self.within(
-                        self.rows.state[:, lanes], np.array(before), lanes, _CHANGED
-                    )
-                are &= self.verdict[lanes] == ""
+                    are = self.within(state, np.array(before), lanes, _CHANGED)
+                are &= (self.verdict[lanes] == "") & ~is_near
                 self._set_nearest(lanes[are], _taken(gaits, lanes[are]))
                 self.say("before_heelstrike", lanes[are])
 
@@ -751,11 +758,19 @@ class _Case:
             q = np.log(found.slope)
             along = np.clip(q + found.along, low[lanes], high[lanes]) - q
             are = self._are(found, along, lanes, 1.0)
-            self.say("gait", lanes[are])
-            for lane, to in zip(lanes[are], np.exp(q + along)[are], strict=True):
-                digits = f"{slope[lane]:.6g}, which may have been {to:.6g}"
-                self.reason[lane] = f"A gait to the digits of its slope, {digits}."
             self._set_nearest(lanes[are], _taken(found.gaits, np.flatnonzero(are)))
+            if self.claimed > 1:
+                self._say_period(lanes[are])
+                continue
+            self.say("gait", lanes[are])
+            self._tell_slopes(lanes[are], np.exp(q + along)[are])
+            self._judge_shanks(lanes[are])
+
+    def _tell_slopes(self, lanes: np.ndarray, belong: np.ndarray) -> None:
+        """Say of gaits from which slope theirs may have been rounded."""
+        for lane, to in zip(lanes, belong, strict=True):
+            digits = f"{self.rows.slope[lane]:.6g}, which may have been {to:.6g}"
+            self.reason[lane] = f"A gait to the digits of its slope, {digits}."
 
     def judge_slopes(self) -> None:
         """Tell rows that are gaits of another slope."""
@@ -797,7 +812,8 @@ class _Case:
 
     def _judge_level(self, lanes: np.ndarray) -> None:
         """Tell rows that are gaits of level ground."""
-        if "drive" not in self.walker.features:
+        lanes = lanes[self.rows.slope[lanes] != 0]
+        if "drive" not in self.walker.features or not len(lanes):
             return
         level = np.zeros(len(lanes))
         for gaits in self.grounds.gaits_at(level):

@@ -15,6 +15,7 @@ import numpy as np
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.refine import COARSE
+from gaitsweep.tasks.mechanics.kernel import is_compact
 from gaitsweep.tasks.step.drive import HIP_TORQUE, PUSH_OFF, Drive
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.studies.follow_cycles import cycle_branches
@@ -57,11 +58,12 @@ def driven(walker: Walker, slope: float, steps: int = 1) -> tuple[Problem, float
 
 def branches_of(problem: Problem) -> list[Branch]:
     """Return all branches of gaits over the drive, of a walker at one slope."""
-    return _branches(problem.walker, problem.drive, problem.steps)
+    return _branches(problem.walker, problem.drive, problem.steps, is_compact())
 
 
 @functools.lru_cache(maxsize=_REMEMBERED)
-def _branches(walker: Walker, drive: Drive, steps: int) -> list[Branch]:
+def _branches(walker: Walker, drive: Drive, steps: int, compact: bool) -> list[Branch]:
+    """Branches by the code that computes them now, which is told to be remembered."""
     problem = Problem(walker, drive=drive)
     single = atlases.survey(problem, COARSE)
     if steps == 1:

@@ -30,6 +30,7 @@ from gaitsweep.tasks.measures.gaits import (
     store,
     to_accuracy,
 )
+from gaitsweep.tasks.mechanics.kernel import is_compact
 from gaitsweep.tasks.mechanics.lumped import Structure, alike
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.studies.follow_cycles import cycle_branches
@@ -58,10 +59,10 @@ PROVED_FROM = (
     "error_bound",
 )
 PROOF_ACCURACY = 1e-12
-#: Branches of the latest lines by walker and tolerance: studies of one command often
-#: have lines in common. Nothing else decides them, so what a process has computed
-#: before changes no bit.
-_surveyed: OrderedDict[tuple[str, float], list[Branch]] = OrderedDict()
+#: Branches of the latest lines by walker, tolerance and the code that computed them:
+#: studies of one command often have lines in common. Nothing else decides them, so what
+#: a process has computed before changes no bit.
+_surveyed: OrderedDict[tuple[str, float, bool], list[Branch]] = OrderedDict()
 _MAX_SURVEYED = 128
 #: So are the latest points of lines that others differ from only in their units, which
 #: chunks of one study have in common.
@@ -322,7 +323,7 @@ def _solve_plain(
     lines: Mapping[str, Mapping[str, Any]], request: Request
 ) -> dict[str, tuple[list[Branch], Arrays]]:
     """Solve lines by name, reusing those solved before."""
-    keys = {name: (name, *request.key) for name in lines}
+    keys = {name: (name, is_compact(), *request.key) for name in lines}
     new = [name for name, key in keys.items() if key not in _solved]
     found = {}
     if new:
@@ -385,7 +386,7 @@ def survey(
     tolerance : float
         `COARSE` or `FINE`.
     """
-    keys = [(repr(walker), tolerance) for walker in walkers]
+    keys = [(repr(walker), tolerance, is_compact()) for walker in walkers]
     new = [i for i, key in enumerate(keys) if key not in _surveyed]
     if new:
         problem = Lanes([walkers[i] for i in new], structure)

@@ -385,6 +385,37 @@ def test_tables_of_few_digits_are_gaits_to_these_with_their_slopes_rounded(
     assert said in with_slope["reason"].tolist()
 
 
+def test_a_rounded_slope_changes_neither_the_period_nor_what_the_shank_lacks():
+    """Such rows were gaits of two steps, and with any rate of the shank."""
+    found = gaitsweep.solve("C", 0.0123456789)
+    table = {name: np.round(found[name], 5) for name in NAMES}
+    table["slope"] = [0.01235] * len(found)
+
+    assert set(gaitsweep.check(table, "C")["verdict"]) == {"gait"}
+    of_two = gaitsweep.check(table, "C", steps=2)
+    assert set(of_two["reason"]) == {"Repeats after 1 step."}
+    shanks = {"shank_angle": -table["stance_angle"], "shank_rate": [-5.0] * len(found)}
+    wrong = gaitsweep.check(table | shanks, "C")
+    assert set(wrong["verdict"]) == {"shank_rate"}
+
+
+def test_a_gait_of_level_ground_that_is_a_little_off_is_near():
+    """It was one of the slope on which it was."""
+    found = gaitsweep.solve("B", 0.0, push_off=0.1)
+    table = {name: found[name] * (1 + 1.5e-6) for name in NAMES}
+
+    checked = gaitsweep.check(table, "B", slope=0.0, push_off=0.1)
+
+    assert set(checked["verdict"]) == {"near"}
+
+
+def test_a_slope_that_is_missing_is_told_with_its_row():
+    state = dict(zip(NAMES, gait_of("D", 0.009), strict=True))
+    table = pd.DataFrame([state | {"slope": 0.009}, state])
+    with pytest.raises(gaitsweep.StudyError, match=r"got nan \(row 2, slope\)"):
+        gaitsweep.check(table, "D")
+
+
 def test_the_slope_of_a_neighbour_is_no_rounding():
     slope = np.round(np.linspace(0.01, 0.02, 11), 3)
     found = gaitsweep.gaits("D", slope, variables=list(NAMES)).sel(gait="long")

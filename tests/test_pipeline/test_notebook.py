@@ -150,6 +150,8 @@ def test_what_is_taken_from_gaits_is_an_ordinary_table():
     assert type(found[["slope"]]) is type(found.copy()) is pd.DataFrame
     assert pickle.loads(pickle.dumps(found))._repr_html_() == found._repr_html_()
     assert "<img" not in gaitsweep.solve("D", 0.014, steps=2)._repr_html_()
+    found.columns = [name.upper() for name in found.columns]
+    assert "<img" not in found._repr_html_() and "STANCE_ANGLE" in found._repr_html_()
 
 
 def test_a_loaded_grid_can_be_written(mine, tmp_path):
@@ -319,7 +321,7 @@ def test_gaits_at_a_value_of_a_measure_in_python_and_by_the_command(capsys):
         ),
         (
             ["--at", "speed=1", "--between", "0.3", "0.1"],
-            "`between` must rise; got '0.3 to 0.1'.",
+            "`between` must be two increasing numbers; got [0.3, 0.1].",
         ),
         (
             ["--at", "speed=1", "--between", "0", "0.1"],

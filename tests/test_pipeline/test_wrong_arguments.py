@@ -130,7 +130,15 @@ ONLY = {
         {"R": [-1.0, np.nan]},
         {"slope": [0.01, 0.02], "R": [0.1, 0.2, 0.3]},
     ],
-    "solve": [{"slope": [0.01, 0.02]}, {"R": [0.1, 0.2]}, {"accuracy": 0}],
+    "solve": [
+        *({"slope": [0.01, 0.02]}, {"R": [0.1, 0.2]}, {"accuracy": 0}),
+        *({"slope": None, "at": value} for value in (["speed"], "speed", {}, 0.4)),
+        {"at": {"froude_speed": 0.2}, "vary": "foo"},
+        *(
+            {"slope": None, "at": {"froude_speed": 0.2}, "between": value}
+            for value in (0.1, (0.01, 0.02, 0.03), (0.02, 0.01), "wide")
+        ),
+    ],
     "step_map": [
         {"slope": [0.01, 0.02]},
         {"R": [0.1, 0.2]},

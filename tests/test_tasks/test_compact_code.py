@@ -57,6 +57,28 @@ def test_no_flow_is_compact_where_an_archive_is_made(tmp_path, monkeypatch):
     assert kernel.FLOWS and all(compact for *_, compact in kernel.FLOWS)
 
 
+@pytest.mark.parametrize(("slope", "keys"), [(0.0094, {}), (0.0, {"push_off": 0.13})])
+def test_what_either_code_has_followed_the_other_follows_anew(slope, keys):
+    """Branches are remembered in a process: answers of full code began at those of
+    compact code, and depended in their last digits on what had been asked before.
+    """
+
+    def lanes(radius):
+        before = integrated()
+        solve_one({"walker": "B", "set": {"R": radius, **keys}, "slope": slope})
+        return integrated() - before
+
+    alone = lanes(0.2718)
+    with compact_code():
+        assert lanes(0.2719) == 0
+    assert lanes(0.2719) > 0.8 * alone > 0
+
+
+def integrated():
+    """Lanes that full code has integrated."""
+    return sum(flow.evaluations for key, flow in kernel.FLOWS.items() if not key[-1])
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("walker", FIRST)
 def test_a_first_answer_comes_soon_and_says_what_it_waits_for(walker, tmp_path):

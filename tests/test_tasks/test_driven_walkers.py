@@ -358,17 +358,23 @@ def test_a_wrong_key_is_refused_with_its_bound(keys, said):
 
 def test_a_released_knee_feels_the_torque_that_drives():
     """Where it begins to bend backwards a branch ends; a torque had no part in it."""
-    keys = {"trailing_knee": "locked", "hip_torque": 0.05}
-    walker, slope = resolve("C", keys), 0.02
+    keys = {
+        "trailing_knee": "locked",
+        "hip_torque": 0.05,
+    }
+    slope = 0.02
+    walker = resolve("C", keys)
     drive = Drive("hip_torque", slope)
     bends = CONDITIONS["release_hyperextension"].value
     w = np.array([-1.6, -1.33, -1.2, 1.76, 2.74])[:, None]
 
-    of_slope = evaluate(Problem(walker), np.vstack([w, [[np.log(slope)]]]))
-    passive = Problem(resolve("C", {"trailing_knee": "locked"}), drive=drive)
-    torque = drive.of(walker)
-    of_torque = evaluate(passive, np.vstack([w, [[np.log(torque)]]]))
+    at_slope = np.vstack([w, [[np.log(slope)]]])
+    at_torque = np.vstack([w, [[np.log(drive.of(walker))]]])
+    passive = resolve("C", {"trailing_knee": "locked"})
 
-    np.testing.assert_allclose(bends(of_torque), bends(of_slope), rtol=1e-9)
-    without = evaluate(Problem(passive.walker), np.vstack([w, [[np.log(slope)]]]))
-    assert abs(bends(without) - bends(of_slope)) > 0.1
+    of_slope = bends(evaluate(Problem(walker), at_slope))
+    of_torque = bends(evaluate(Problem(passive, drive=drive), at_torque))
+    without = bends(evaluate(Problem(passive), at_slope))
+
+    np.testing.assert_allclose(of_torque, of_slope, rtol=1e-9)
+    assert abs(without - of_slope) > 0.1
