@@ -95,7 +95,7 @@ def step_map(
     walker : str, Path or mapping
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float [rad]
-        Slope of the ground, in [1e-18, 0.5).
+        Slope of the ground, in [1e-18, 0.5), or in (-0.5, 0].
     state : sequence of float, shape (3,), (4,) or (6,)
         (stance_angle, stance_rate, thigh_rate) just after heelstrike [rad, and the
         walker's rates]. The swing leg stands at minus the stance angle; the rate of a
@@ -153,7 +153,7 @@ def simulate(
     walker : str, Path or mapping
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float [rad]
-        Slope of the ground, in [1e-18, 0.5).
+        Slope of the ground, in [1e-18, 0.5), or in (-0.5, 0].
     state : sequence of float, shape (3,), (4,) or (6,)
         (stance_angle, stance_rate, thigh_rate) just after heelstrike, or a state within
         a step, as for `step_map`; its swing foot must not be below the ground.

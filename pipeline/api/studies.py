@@ -253,7 +253,8 @@ def gaits(
     walker : str, Path or mapping
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float, array or DataArray [rad]
-        Slopes of the ground, in [1e-18, 0.5); none where `at` is reached by varying it.
+        Slopes of the ground, in [1e-18, 0.5), of driven walkers also in
+        (-0.5, 0]; none where `at` is reached by varying it.
     at : mapping, optional
         A measure of gaits and the values that it is to have, as `{"speed": [0.3,
         0.4]}`: all gaits that have them, by varying the slope or a key. What was varied
@@ -397,7 +398,8 @@ def solve(
     walker : str, Path or mapping
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float [rad]
-        Slope of the ground, in [1e-18, 0.5); none where `at` is reached by varying it.
+        Slope of the ground, in [1e-18, 0.5), of driven walkers also in
+        (-0.5, 0]; none where `at` is reached by varying it.
     every : bool
         Include gaits whose swing leg passes the stance leg more than once.
     at : mapping, optional

@@ -109,6 +109,9 @@ def _idle(study: Study) -> Iterator[str]:
     if "heatmap" in study.figures and len(wide) < 2:
         over = f"only {wide[0]} has" if wide else "none has"
         yield f"`heatmap` needs two axes of several values, but {over}; it is not drawn."
+    keys = [name for name in wide if name not in ("slope", "walker")]
+    if "over_key" in study.figures and not keys:
+        yield "`over_key` needs an axis of a key with several values; it is not drawn."
     slopes = sum(len(axis) for axis in study.axes if axis.name == "slope")
     for name in ("scaling", "transition"):
         if name in study.fits and slopes < _LEAST_SLOPES:

@@ -27,7 +27,10 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(rows))
     elif not rows:
-        print("There are no such gaits.", file=sys.stderr)
+        asked = {"walker": options.walker, "convention": options.convention}
+        given = [f"`{name}` {value!r}" for name, value in asked.items() if value]
+        words = "gaitsweep: There are no reference gaits of"
+        print(f"{words} {' and '.join(given)}.", file=sys.stderr)
         return 1
     else:
         table = csv.DictWriter(sys.stdout, list(rows[0]), lineterminator="\n")

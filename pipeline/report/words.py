@@ -102,9 +102,10 @@ def symbol(name: str) -> str:
 
 def titled(name: str, unit: str, words: str = "") -> str:
     """A quantity in words, or in those given, with its symbol and unit."""
-    return with_unit(
-        " ".join(filter(None, (words or spaced(name), SYMBOLS.get(name)))), unit
-    )
+    words, sign = words or spaced(name), SYMBOLS.get(name, "")
+    if sign and not words.endswith(sign):
+        words = f"{words} {sign}"
+    return with_unit(words, unit)
 
 
 def shorten(name: str, most: int = 30) -> str:

@@ -650,7 +650,7 @@ class _Case:
         self.say("digits", lanes[are])
 
     def judge_several_steps(self) -> None:
-        """Tell rows that repeat after 2 to 8 steps."""
+        """Tell rows that repeat after several steps, up to the most that are tried."""
         lanes = self.steppable
         lanes = lanes[self.outcome[lanes] == STRUCK]
         if not len(lanes):

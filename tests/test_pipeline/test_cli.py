@@ -1636,7 +1636,9 @@ def test_keys_of_a_leg_of_one_link_are_axes_and_arguments(tmp_path, capsys):
         .stance_angle.sel(gait="long")
         .values
     )
-    assert angle == own == set_
+    assert own == set_
+    # Few points are solved by other code, which rounds otherwise.
+    assert angle == pytest.approx(own, rel=1e-12)
     assert (
         commands.main(["solve", "--walker", "A", "--slope", "0.01", "--set", "l=1"])
         == 2

@@ -17,6 +17,7 @@ from gaitsweep.pipeline.report.figures import (
     draw,
     fields,
     landmarks,
+    over_key,
     slices,
 )
 from gaitsweep.pipeline.report.figures.body import Body
@@ -1155,6 +1156,35 @@ def test_slices_hold_all_gaits_of_a_grid(tmp_path):
     ]
     present = held["fields"]["present"]
     assert present["words"] == [False, True] and present["text"].startswith("00")
+
+
+def test_slices_say_which_gaits_have_a_quantity(tmp_path):
+    """Times of kneestrike of walkers without knees were 1."""
+    source = _volume(tmp_path, (9, 12, 3), ("B", "<b>"))
+    speed = source.grid["speed"]
+    is_kneed = xr.DataArray([True, False], dims="walker")
+    source.grid["kneestrike_time"] = speed.where(is_kneed)
+    source.grid["unlocking_torque"] = speed.where(False)
+
+    held = slices.volume(source)
+
+    names = [name for name, _ in held["quantities"]]
+    assert "kneestrike_time" in names and "unlocking_torque" not in names
+    own = held["fields"]["kneestrike_time"]["present"]
+    assert own != held["fields"]["present"] and own["words"] == [False, True]
+    assert "present" not in held["fields"]["speed"]
+
+
+def test_no_line_over_a_key_joins_curves_between_which_a_label_passes():
+    """The label of a curve that ends passed to another, and a line led there."""
+    angle = xr.DataArray(
+        [[0.30, 0.10], [0.31, 0.09], [0.32, 0.21], [0.33, 0.22]],
+        dims=("push_off", "gait"),
+    )
+    goes_on = over_key._goes_on(angle, "push_off").reshape(4, 2)
+    assert goes_on.tolist() == [[True, True], [True, False], [True, True], [False] * 2]
+    across = over_key._goes_on(angle.transpose(), "push_off").reshape(2, 4)
+    assert (across == goes_on.T).all()
 
 
 @pytest.mark.parametrize("sizes", [(8, 8, 8, 8, 8, 8), (200, 90, 12)])

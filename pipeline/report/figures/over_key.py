@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import MOST_COLOURS, draw_gait, inks
@@ -37,7 +38,7 @@ def over_key(source: Source) -> Sketch | None:
             known = curve[curve["stance_angle"].notna()]
             if known.empty:
                 continue
-            whole = curve.reset_index(drop=True)
+            whole = _interrupted(curve.reset_index(drop=True))
             draw_gait(
                 axes,
                 whole,
@@ -48,7 +49,7 @@ def over_key(source: Source) -> Sketch | None:
                 "stance_angle",
             )
             _mark(sketch, known, f"{gait} step · {name}", key, number)
-            sketch.pieces.append(known.assign(line=name))
+            sketch.pieces.append(known.drop(columns="goes_on").assign(line=name))
     if not sketch.pieces:
         return None
 
@@ -69,7 +70,7 @@ def _mark(
 ) -> None:
     """Mark the gaits of a curve, which tell their values and command."""
     (axes,) = sketch.panels
-    told = curve.drop(columns=["gait", "stable"])
+    told = curve.drop(columns=["gait", "stable", "goes_on"])
     tips = {key: symbol(key), **_SHOWN}
     sketch.mark(axes, told, label, tips=tips, x=key, group=number)
 
@@ -115,8 +116,45 @@ def _lines(source: Source, key: str) -> Iterator[tuple[str, pd.DataFrame]]:
         rows["command"] = [
             _command(source, values, key, value) for value in rows[key].tolist()
         ]
-        columns = [key, "slope", "gait", "stance_angle", "spectral_radius", "stable"]
-        yield axis_values(varied) or source.walker, rows[[*columns, "command"]]
+        rows["goes_on"] = _goes_on(here["stance_angle"], key)
+        columns = [
+            key,
+            "slope",
+            "gait",
+            "stance_angle",
+            "spectral_radius",
+            "stable",
+            "goes_on",
+            "command",
+        ]
+        yield axis_values(varied) or source.walker, rows[columns]
+
+
+def _goes_on(angle: xr.DataArray, key: str) -> np.ndarray:
+    """Whether the gait at the next value of the key is on the curve of each, in the
+    order of the rows of a DataFrame: each is the nearest to the other. A label may pass
+    to another curve.
+    """
+    values = np.log(angle.transpose(key, "gait").values)
+    apart = np.abs(values[1:, None] - values[:-1, :, None])
+    apart = np.where(np.isnan(apart), np.inf, apart)
+
+    own = np.arange(values.shape[1])
+    next_is_nearest = apart.argmin(axis=2) == own
+    last_is_nearest = apart.argmin(axis=1) == own
+    goes_on = np.zeros(values.shape, bool)
+    goes_on[:-1] = next_is_nearest & last_is_nearest
+
+    together = xr.DataArray(goes_on, dims=(key, "gait"))
+    return np.asarray(together.transpose(*angle.dims).values.ravel())
+
+
+def _interrupted(curve: pd.DataFrame) -> pd.DataFrame:
+    """A curve with a row without an angle after each gait that is its part's last."""
+    last = curve[~curve["goes_on"].astype(bool)]
+    gaps = last.assign(stance_angle=np.nan, stable=0.0)
+    gaps.index = gaps.index + 0.5
+    return pd.concat([curve, gaps]).sort_index().reset_index(drop=True)
 
 
 def _command(source: Source, values: dict[str, Any], key: str, value: float) -> str:

@@ -64,8 +64,9 @@ def volume(source: Source) -> dict[str, Any]:
         for each walker what its gaits start from; `gaits`; `quantities`, name and title
         of those that may be shown; `fields`, by quantity, a text for each slice along
         the two last axes: of each walker, gait and place on the other axes, the last
-        fastest, and under `present` in the same order whether there is a gait. `every`
-        is the number of points of the grid of which the page holds `held`.
+        fastest, and under `present` in the same order whether there is a gait; a
+        quantity that not every gait has, has its own `present`. `every` is the number
+        of points of the grid of which the page holds `held`.
     """
     axes = axes_of(source)
     shown = _shown(source, axes)
@@ -117,7 +118,10 @@ def _shown(source: Source, axes: list[str]) -> list[str]:
         if name not in START[2:] and wanted <= {*source.grid[name].dims}
     ]
     flat = [
-        name for name in every if {*source.grid[name].dims} <= {*source.axes, "gait"}
+        name
+        for name in every
+        if {*source.grid[name].dims} <= {*source.axes, "gait"}
+        and source.grid[name].notnull().any()
     ]
     return flat[:_MOST]
 
@@ -170,7 +174,13 @@ def _encoded(quantities: Iterator[tuple[str, _Quantity]]) -> dict[str, Any]:
     room.
     """
     known = dict(quantities)
-    present = fields.words(np.isfinite(next(iter(known.values())).values))
+    masks = {name: np.isfinite(one.values) for name, one in known.items()}
+    has_gait = next(iter(masks.values()))
+    own_mask = {
+        name: {"present": fields.words(mask)}
+        for name, mask in masks.items()
+        if not np.array_equal(mask, has_gait)
+    }
     for coarser in (1, 10, 100):
         found: dict[str, Any] = {}
         characters = 0
@@ -180,9 +190,10 @@ def _encoded(quantities: Iterator[tuple[str, _Quantity]]) -> dict[str, Any]:
             ]
             texts = [one["text"] for one in own]
             found[name] = {"step": step * coarser, "log": log, "texts": texts}
+            found[name] |= own_mask.get(name, {})
             characters += sum(map(len, texts))
         if characters <= _ROOM:
-            return {**found, "present": present}
+            return {**found, "present": fields.words(has_gait)}
     return {}
 
 

@@ -27,7 +27,7 @@ for (const box of nodesOf(".slices")) {
 
   /** All values of a field for the walker and the gait chosen, NaN where there is none. */
   function valuesOf(name) {
-    const field = fields[name], whole = fields.present.read ??= readField(fields.present, [lines.length * gaits.length, points]);
+    const field = fields[name], mask = field.present ?? fields.present, whole = mask.read ??= readField(mask, [lines.length * gaits.length, points]);
     field.read ??= field.texts.flatMap(text => [...readField({ ...field, text }, sizes.slice(-2))]).map((value, i) => whole[i] ? value : NaN);
     const first = (walker.value * gaits.length + Number(gait.value)) * points;
     return field.read.slice(first, first + points);
@@ -74,8 +74,8 @@ for (const box of nodesOf(".slices")) {
       cells[[i, j]] = Object.assign(draw("rect", svg, { x: left, y: top, width: x(edges[0][i + 1]) - left, height: y(edges[1][j]) - top, fill, "stroke-width": 2 }), { place: [i, j] });
     }));
     own.forEach(({ values: v, title }, k) => {
-      for (let n = 0; n < 5; n++) {
-        const i = n * (v.length - 1) >> 2, [text, place] = [brief(v[i], 3), scales[k][i]];
+      for (const i of new Set([0, 1, 2, 3, 4].map(n => n * (v.length - 1) >> 2))) {
+        const [text, place] = [brief(v[i], 3), scales[k][i]];
         if (k) write(svg, 61, y(place) + 4, text, "end"); else write(svg, x(place), 261, text, "middle");
       }
       write(svg, k ? 14 : 228, k ? 130 : 284, title, "middle", -90 * k);
