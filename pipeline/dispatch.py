@@ -4,6 +4,7 @@ import contextlib
 import importlib
 from typing import Any
 
+from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.errors import StudyError
 
 
@@ -42,10 +43,17 @@ def for_question(
     points: int = 1, walkers: int = 1
 ) -> contextlib.AbstractContextManager[None]:
     """Let solvers be compiled as fast as the answer to a question of so many points,
-    and walkers, is wanted; what is archived is computed without.
+    and walkers, is wanted; what is archived is computed without. Who waits at a
+    terminal or a notebook is told of it.
     """
     if points > _FEW_POINTS or walkers > _FEW_WALKERS:
         return contextlib.nullcontext()
-    compact: contextlib.AbstractContextManager[None]
-    compact = resolve("gaitsweep.tasks.mechanics.kernel:compact_code")()
+    compact_code = resolve("gaitsweep.tasks.mechanics.kernel:compact_code")
+    compact: contextlib.AbstractContextManager[None] = compact_code(_tell)
     return compact
+
+
+def _tell(sentence: str) -> None:
+    """Tell who waits, if there is somebody."""
+    if terminal.is_terminal() or terminal.is_notebook():
+        terminal.say(f"gaitsweep: {sentence}")

@@ -6,11 +6,10 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import logging
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from typing import Any
 
@@ -52,58 +51,67 @@ _COARSE = 1e-7
 #: Options of heyoka for compact code, which is compiled in a tenth of the time and takes
 #: two to three times as long. More optimisation costs a third more and gains a tenth.
 COMPACT: dict[str, Any] = {"compact_mode": True, "opt_level": 1}
-_compact_will_do: ContextVar[bool] = ContextVar("compact_will_do", default=False)
-#: After how many seconds somebody who waits for a compiler is told of it.
+#: Who is told of a long compilation, where compact code will do; else None.
+_teller: ContextVar[Callable[[str], object] | None] = ContextVar("teller", default=None)
+#: After how many seconds of compilation, in all, who waits is told of it.
 _PATIENCE = 1.0
+_TOLD = "Compiling the equations of motion, once on this computer."
 
 
 def is_compact() -> bool:
     """Whether flows are compact now."""
-    return _compact_will_do.get()
+    return _teller.get() is not None
 
 
 @contextlib.contextmanager
-def compact_code() -> Iterator[None]:
-    """Let flows be compact, for questions of few points, and tell who waits for their
-    compilation.
+def compact_code(tell: Callable[[str], object]) -> Iterator[None]:
+    """Let flows be compact, for questions of few points.
 
     Digits differ from those of full code by rounding, so that whatever is archived is
     computed without.
+
+    Parameters
+    ----------
+    tell : callable
+        Is given a sentence, once in a process, where the compilation takes long.
     """
-    token = _compact_will_do.set(True)
+    token = _teller.set(tell)
     try:
         yield
     finally:
-        _compact_will_do.reset(token)
+        _teller.reset(token)
 
 
 class _Waiting:
-    """Tells who waits, once in a process, that equations are being compiled: after a
-    second of it in all, so that loading what was compiled before is not told.
+    """Tells who waits, once in a process, that equations are compiled: after a second
+    of it in all, so that loading what was compiled before is not told.
     """
 
     def __init__(self) -> None:
         self.seconds = 0.0
+        self.is_told = False
 
     @contextlib.contextmanager
-    def telling(self) -> Iterator[None]:
+    def telling(self, tell: Callable[[str], object] | None) -> Iterator[None]:
         """Count the time that something takes to compile."""
+        if tell is None or self.is_told:
+            yield
+            return
+
         began = time.monotonic()
-        timer = threading.Timer(max(0.0, _PATIENCE - self.seconds), self._tell)
+        delay = max(0.0, _PATIENCE - self.seconds)
+        timer = threading.Timer(delay, self._tell, [tell])
         timer.daemon = True
-        if self.seconds < _PATIENCE:
-            timer.start()
+        timer.start()
         try:
             yield
         finally:
             timer.cancel()
             self.seconds += time.monotonic() - began
 
-    def _tell(self) -> None:
-        self.seconds = _PATIENCE
-        logging.getLogger("gaitsweep").warning(
-            "gaitsweep: Compiling the equations of motion, once on this computer."
-        )
+    def _tell(self, tell: Callable[[str], object]) -> None:
+        self.is_told = True
+        tell(_TOLD)
 
 
 _waiting = _Waiting()
@@ -324,9 +332,8 @@ def flow(
         prepare_compiler()
         # Who follows branches needs both flows: two workers compile one each.
         other = (structure, directions + 1, True)
-        telling = _waiting.telling() if compact else contextlib.nullcontext()
         with (
-            telling,
+            _waiting.telling(_teller.get()),
             compile_cache.turn(
                 repr(key),
                 (lambda: None) if with_slope or coarse else (lambda: flow(*other)),
