@@ -45,7 +45,9 @@ def read(
         raise place.wrong("must be a table", value)
     place.check_names(value, (*AT, *nameable()), "measure")
 
-    given = axes if isinstance(axes, dict) else {}
+    if not isinstance(axes, dict | None):
+        raise top.at("axes").wrong("must be a table", axes)
+    given = axes or {}
     measure, is_axis = _measure(value, given, place)
     asked = {"measure": measure, **fields(value, place)}
     if is_axis:

@@ -94,7 +94,7 @@ RIGOUR = {
     ),
     "middle of the period": (
         "enclosure",
-        "(duration[0] - time, duration[1] - time)",
+        "(whole - time for whole in duration)",
         "(duration[0] - time, duration[1].mid() - time)",
         check_durations,
     ),
