@@ -59,11 +59,13 @@ class GaitTable(pd.DataFrame):
 
 def _figure(gait: pd.Series, walks: Walks) -> str:
     """A gait's steps as HTML; empty where they cannot be simulated again, or the table
-    has lost the columns of the state.
+    has lost a column that this takes.
     """
+    if not {*_STATE, "slope", walks.varied} <= {*gait.index}:
+        return ""
     try:
         picture = base64.b64encode(_picture(gait, walks)).decode()
-    except (GaitsweepError, KeyError):
+    except GaitsweepError:
         return ""
     stability = "stable" if gait.get("stable") == 1 else "unstable"
     words = f"{gait.get('gait', 'a')} step, {stability}"

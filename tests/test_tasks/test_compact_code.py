@@ -14,8 +14,8 @@ from gaitsweep.tasks.studies.solve_at_slope import solve_one
 
 STATE = ("stance_angle", "stance_rate", "thigh_rate", "period")
 TOLD = "Compiling the equations of motion, once on this computer."
-#: What a first answer may take [s of processor time], with knees and without: a third of
-#: it on the machine where both were measured.
+#: What a first answer may take [s of processor time], with knees and without: four to
+#: seven times what it took.
 FIRST = {"C": 18.0, "D": 9.0}
 
 
