@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks.branches.conditions import Condition
+from gaitsweep.tasks.branches.equations import Equations, Keys
 from gaitsweep.tasks.studies.follow_curves import curve
 from gaitsweep.tasks.studies.follow_over_keys import curves_over_keys
+from gaitsweep.tasks.studies.gaits_over_key import gaits_over_key
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
+from gaitsweep.tasks.walkers.resolve import walkers_over
 
 LINE = {"walker": "A", "set": {}}
 RANGES = {"R": (0.1, 0.3), "m_h": (0.0, 2.0)}
@@ -120,3 +123,17 @@ def long_gait(**keys):
         if gait["gait"] == "long":
             return gait
     raise AssertionError(keys)
+
+
+def test_a_curve_on_which_steps_vanish_ends():
+    """On level ground short steps vanish at a push-off: 5,000 points led to angles
+    of 1e-218.
+    """
+    walker_at = walkers_over({"walker": "B", "set": {}}, "push_off")
+    keys = Keys.of_one("push_off", walker_at, 0.01, 0.3)
+
+    curves = [X for X, _ in gaits_over_key(Equations(keys, [], 0.0))]
+
+    lengths = [len(X) for X in curves]
+    least = min(float(X[:, 0].min()) for X in curves)
+    assert max(lengths) < 500 and -25 < least < -20
