@@ -11,6 +11,7 @@ from gaitsweep.pipeline import dispatch, terminal
 from gaitsweep.tasks.mechanics import kernel
 from gaitsweep.tasks.mechanics.kernel import compact_code
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
+from gaitsweep.tasks.studies.solve_points import atlas
 
 STATE = ("stance_angle", "stance_rate", "thigh_rate", "period")
 TOLD = "Compiling the equations of motion, once on this computer."
@@ -57,15 +58,24 @@ def test_no_flow_is_compact_where_an_archive_is_made(tmp_path, monkeypatch):
     assert kernel.FLOWS and all(compact for *_, compact in kernel.FLOWS)
 
 
-@pytest.mark.parametrize(("slope", "keys"), [(0.0094, {}), (0.0, {"push_off": 0.13})])
-def test_what_either_code_has_followed_the_other_follows_anew(slope, keys):
+def over_slopes(radius):
+    atlas({"line": {"walker": "B", "set": {"R": radius}}, "coarse": True}, [])
+
+
+def over_push_off(radius):
+    keys = {"R": radius, "push_off": 0.13}
+    solve_one({"walker": "B", "set": keys, "slope": 0.0})
+
+
+@pytest.mark.parametrize("follow", [over_slopes, over_push_off])
+def test_what_either_code_has_followed_the_other_follows_anew(follow):
     """Branches are remembered in a process: answers of full code began at those of
     compact code, and depended in their last digits on what had been asked before.
     """
 
     def lanes(radius):
         before = integrated()
-        solve_one({"walker": "B", "set": {"R": radius, **keys}, "slope": slope})
+        follow(radius)
         return integrated() - before
 
     alone = lanes(0.2718)
