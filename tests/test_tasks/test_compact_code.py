@@ -10,8 +10,8 @@ import gaitsweep
 from gaitsweep.pipeline import dispatch, terminal
 from gaitsweep.tasks.mechanics import kernel
 from gaitsweep.tasks.mechanics.kernel import compact_code
+from gaitsweep.tasks.studies import solve_points
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
-from gaitsweep.tasks.studies.solve_points import atlas
 
 STATE = ("stance_angle", "stance_rate", "thigh_rate", "period")
 TOLD = "Compiling the equations of motion, once on this computer."
@@ -59,7 +59,8 @@ def test_no_flow_is_compact_where_an_archive_is_made(tmp_path, monkeypatch):
 
 
 def over_slopes(radius):
-    atlas({"line": {"walker": "B", "set": {"R": radius}}, "coarse": True}, [])
+    line = {"walker": "B", "set": {"R": radius}}
+    solve_points.atlas({"line": line, "coarse": True}, [])
 
 
 def over_push_off(radius):
@@ -68,10 +69,11 @@ def over_push_off(radius):
 
 
 @pytest.mark.parametrize("follow", [over_slopes, over_push_off])
-def test_what_either_code_has_followed_the_other_follows_anew(follow):
+def test_what_either_code_has_followed_the_other_follows_anew(follow, monkeypatch):
     """Branches are remembered in a process: answers of full code began at those of
     compact code, and depended in their last digits on what had been asked before.
     """
+    monkeypatch.setattr(solve_points, "_MAX_SURVEYED", 8)
 
     def lanes(radius):
         before = integrated()
