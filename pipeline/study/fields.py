@@ -98,7 +98,7 @@ def _keys_of_walkers() -> tuple[str, ...]:
 
 def _objectives() -> tuple[str, ...]:
     """Names of what may be least or largest: variables, the slope and keys."""
-    return (*VARIABLES, *axis_names())
+    return (*nameable(), *axis_names())
 
 
 #: Limits above which violations are flagged.

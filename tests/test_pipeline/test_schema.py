@@ -19,6 +19,7 @@ from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.dispatch import ask
 from gaitsweep.pipeline.study import files, parse
 from gaitsweep.tasks.contract.registry import OPTIONS
+from gaitsweep.tasks.contract.variables import admit
 
 STUDIES = sorted(ROOT.glob("data/studies/*/*.toml"))
 WALKERS = sorted(ROOT.glob("data/walkers/*.toml"))
@@ -454,6 +455,12 @@ def test_templates_lead_editors_to_the_schema(capsys):
             and ":schema" not in about
             and rest.startswith("#:schema study.schema.json\n")
         )
+
+
+def test_schemas_are_the_same_once_derivatives_were_asked_for():
+    before = gaitsweep.schema("study")
+    admit(["period_by_key"])
+    assert gaitsweep.schema("study") == before
 
 
 def test_every_key_is_described():
