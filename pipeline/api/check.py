@@ -9,7 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from gaitsweep.pipeline.api.threads import in_turn
-from gaitsweep.pipeline.dispatch import ask, for_question
+from gaitsweep.pipeline.dispatch import ask, for_question, resolve
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import slopes, states
 from gaitsweep.pipeline.study.broadcast import changes, definition
@@ -17,8 +17,6 @@ from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.single_point import check_driven
 from gaitsweep.pipeline.study.states import States
 
-#: Most steps after which a state is looked for again.
-MOST_STEPS = 8
 #: States: a file, columns by name, or rows of numbers. So is a pandas.DataFrame.
 Table: TypeAlias = (
     str
@@ -99,6 +97,7 @@ def check(
     else:
         given = states.from_python(table, convention, renamed)
     of_rows = _in_rad(given, slope, degrees)
+    most_steps = resolve("gaitsweep.tasks.check.several_steps:MOST_STEPS")
     params = {
         "walker": definition(walker),
         "set": changes(keys),
@@ -106,7 +105,7 @@ def check(
         "convention": convention,
         "rates": _rates(rates),
         "tolerance": _tolerance(tolerance),
-        "steps": Location("", "steps").count(steps, MOST_STEPS),
+        "steps": Location("", "steps").count(steps, most_steps),
     }
     lowest = float(of_rows["slope"].min(initial=np.inf))
     check_driven(params["walker"], params["set"], lowest)
