@@ -58,30 +58,31 @@ def column_cells(name: str, frame: pd.DataFrame) -> list[Cell]:
     """
     column = frame[name]
     if name in _KINDS["coded"]:
-        return [Cell(spaced(v)) for v in column]
+        return [Cell(spaced(value)) for value in column]
     if name in _KINDS["flags"] and set(column) <= {0, 1}:
-        return [cell(bool(v)) for v in column]
+        return [cell(bool(value)) for value in column]
     if column.dtype.kind != "f":
-        return [cell(v) for v in column]
+        return [cell(value) for value in column]
+
+    numbers = column.tolist()
     if name in _KINDS["errors"]:
-        return [cell(float(v), digits=2) for v in column]
+        return [cell(value, digits=2) for value in numbers]
     if name in ("low", "high") and {"low", "high"} <= set(frame.columns):
-        width = np.abs((frame["high"] - frame["low"]) / column)
-        return [
-            cell(float(v), digits=_digits(w))
-            for v, w in zip(column, width, strict=True)
-        ]
+        widths = np.abs((frame["high"] - frame["low"]) / column)
+        digits = [_digits(width) for width in widths]
+        pairs = zip(numbers, digits, strict=True)
+        return [cell(value, digits=own) for value, own in pairs]
     decimals = _decimals(column.to_numpy())
     if decimals is None:
-        return [cell(float(v)) for v in column]
-    texts = [
-        f"{v + 0.0:.{decimals}f}".replace("-", "−") if np.isfinite(v) and v else ""
-        for v in column
-    ]
-    return [
-        Cell(text, float(v)) if text else cell(float(v))
-        for text, v in zip(texts, column, strict=True)
-    ]
+        return [cell(value) for value in numbers]
+    return [_fixed(value, decimals) for value in numbers]
+
+
+def _fixed(value: float, decimals: int) -> Cell:
+    """The cell of a number with so many decimals; 0 is told as such."""
+    if not value or not np.isfinite(value):
+        return cell(value)
+    return Cell(f"{value:.{decimals}f}".replace("-", "−"), value)
 
 
 def _digits(width: float) -> int:

@@ -143,12 +143,9 @@ def _claim(row: Mapping[str, Any], shown: list[tuple[str, str]]) -> Claim:
 
 
 def _number(row: Mapping[str, Any], name: str) -> Cell:
-    value = row.get(name)
-    return (
-        cell(value)
-        if isinstance(value, (int, float)) and math.isfinite(value)
-        else Cell("")
-    )
+    """The cell of a number of a claim, empty where there is none."""
+    value = _entry(row, name)
+    return cell(value) if math.isfinite(value) else Cell("")
 
 
 def _bar(row: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -159,38 +156,41 @@ def _bar(row: Mapping[str, Any]) -> dict[str, Any] | None:
     None; the rounding of the printed parameters allows the computed `value` to lie from
     `low` to `high`, which are equal for an exact one.
     """
-    value, printed, half, low, high = (
-        float(v) if isinstance(v := row.get(name), (int, float)) else math.nan
-        for name in (
-            "value",
-            "printed_value",
-            "printed_half_unit",
-            "interval_low",
-            "interval_high",
-        )
-    )
-    if not math.isfinite(value) or not (math.isfinite(printed) or low <= high):
+    value = _entry(row, "value")
+    printed = _entry(row, "printed_value")
+    low, high = _entry(row, "interval_low"), _entry(row, "interval_high")
+    is_printed, varies = math.isfinite(printed), low <= high
+    if not math.isfinite(value) or not (is_printed or varies):
         return None
-    words, numbers = (
-        f"computed {plain(value, 6)}",
-        {"value": value, "low": value, "high": value},
-    )
-    if low <= high:
+
+    words = f"computed {plain(value, 6)}"
+    numbers = {"value": value, "low": value, "high": value}
+    if varies:
         numbers |= {"low": low, "high": high}
         words += f", from {plain(low)} to {plain(high)} by rounding"
-    if math.isfinite(printed):
+    if is_printed:
+        half = _entry(row, "printed_half_unit")
         half = half if math.isfinite(half) else 0.0
-        numbers |= {
-            "printed": printed,
-            "printed_from": printed - half,
-            "printed_to": printed + half,
-        }
+        numbers["printed"] = printed
+        numbers["printed_from"] = printed - half
+        numbers["printed_to"] = printed + half
         words = f"printed {plain(printed)}, {words}"
-    left, right = min(numbers.values()), max(numbers.values())
+    return {"words": words, "printed": None, **_places(numbers, value)}
+
+
+def _entry(row: Mapping[str, Any], name: str) -> float:
+    """An entry of a claim, NaN where it is no number."""
+    value = row.get(name)
+    return float(value) if isinstance(value, (int, float)) else math.nan
+
+
+def _places(numbers: Mapping[str, float], value: float) -> dict[str, float]:
+    """Places of numbers in percent of a width that shows all of them, with a margin."""
+    least, most = min(numbers.values()), max(numbers.values())
     # At least 2 % of the number, so that equal numbers are not drawn apart.
-    span = max(right - left, 0.02 * abs(value)) or 1.0
-    left, right = 0.5 * (left + right - 1.16 * span), 0.5 * (left + right + 1.16 * span)
-    places = {
+    span = max(most - least, 0.02 * abs(value)) or 1.0
+    middle, width = 0.5 * (least + most), 1.16 * span
+    left, right = middle - 0.5 * width, middle + 0.5 * width
+    return {
         name: round(100 * (x - left) / (right - left), 2) for name, x in numbers.items()
     }
-    return {"words": words, "printed": None, **places}

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -118,90 +118,94 @@ def angles(source: Source) -> Sketch | None:
 
 def _draw_angles(sketch: Sketch, axes: Axes, step: TracedStep) -> None:
     """Draw the angles of both legs over two steps, with the impacts."""
+    drawn = []
+    for link in _links(step):
+        _draw_link(sketch, axes, step, link)
+        drawn.append(link.data)
+    data = pd.concat(drawn, ignore_index=True)
+    data = data.assign(walker=step.label, gait=step.gait, slope=step.slope)
+    sketch.pieces.append(data)
+
+    _draw_impact(axes, step, data, "heelstrike", step.period)
+    if step.kneestrike is not None:
+        for begin in (0.0, step.period):
+            _draw_impact(axes, step, data, "kneestrike", begin + step.kneestrike)
+    axes.set_xlim(0, 2 * step.period)
+
+
+class _Link(NamedTuple):
+    """A link of a leg over two steps: how both are called, and `time`, `angle`, `leg` and
+    `link` of its points.
+    """
+
+    leg: str
+    link: str
+    data: pd.DataFrame
+
+
+def _links(step: TracedStep) -> Iterator[_Link]:
+    """The links of the leg drawn heavy, first the stance leg, then the swing leg, and
+    those of the other.
+    """
     frame, period = step.frame, step.period
     time = frame["time"].to_numpy()
-    first = {
-        "thigh": frame["theta_st"].to_numpy(),
-        "shank": frame["theta_st"].to_numpy(),
-    }
-    second = {
-        "thigh": frame["theta_th"].to_numpy(),
-        "shank": frame["theta_sh"].to_numpy(),
-    }
-    pieces, kneed = [], step.kneestrike is not None
-    for leg, (early, late) in {
-        "heavy": (first, second),
-        "light": (second, first),
-    }.items():
-        for part in ("thigh", "shank") if kneed else ("thigh",):
-            t, angle = (
-                np.concatenate([time, period + time]),
-                np.concatenate([early[part], late[part]]),
-            )
-            width, ink = (2.2, LINE) if leg == "heavy" else (0.9, MUTED)
-            axes.plot(
-                t,
-                angle,
-                color=ink,
-                lw=width,
-                ls="-" if part == "thigh" else (0, (4, 1.4)),
-            )
-            pieces.append(
-                pd.DataFrame(
-                    {
-                        "time": t,
-                        "angle": angle,
-                        "leg": leg,
-                        "link": part if kneed else "leg",
-                    }
-                )
-            )
-            if leg == "heavy":
-                rows = pd.DataFrame({"time": t, "angle": angle, "slope": step.slope})
-                label, tips = (
-                    f"{part if kneed else 'leg'}, heavy line",
-                    {"time": "time", "angle": "angle (rad)"},
-                )
-                sketch.mark(
-                    axes,
-                    rows,
-                    label,
-                    command=step.command,
-                    tips=tips,
-                    x="time",
-                    y="angle",
-                )
-    data = pd.concat(pieces, ignore_index=True).assign(
-        walker=step.label, gait=step.gait, slope=step.slope
-    )
-    sketch.pieces.append(data)
-    impacts = [("heelstrike", period)]
+    stance = frame["theta_st"].to_numpy()
+    swings = {"leg": "theta_th"}
     if step.kneestrike is not None:
-        impacts += [
-            ("kneestrike", step.kneestrike),
-            ("kneestrike", period + step.kneestrike),
-        ]
+        swings = {"thigh": "theta_th", "shank": "theta_sh"}
+    for leg in ("heavy", "light"):
+        for link, column in swings.items():
+            angles = [stance, frame[column].to_numpy()]
+            if leg == "light":
+                angles.reverse()
+            data = {
+                "time": np.concatenate([time, period + time]),
+                "angle": np.concatenate(angles),
+                "leg": leg,
+                "link": link,
+            }
+            yield _Link(leg, link, pd.DataFrame(data))
+
+
+def _draw_link(sketch: Sketch, axes: Axes, step: TracedStep, link: _Link) -> None:
+    """Draw the angle of a link, with marks on the heavy leg."""
+    is_heavy = link.leg == "heavy"
+    width, ink = (2.2, LINE) if is_heavy else (0.9, MUTED)
+    dashes: Any = (0, (4, 1.4)) if link.link == "shank" else "-"
+    time, angle = link.data["time"], link.data["angle"]
+    axes.plot(time, angle, color=ink, lw=width, ls=dashes)
+    if not is_heavy:
+        return
+    rows = link.data[["time", "angle"]].assign(slope=step.slope)
+    sketch.mark(
+        axes,
+        rows,
+        f"{link.link}, heavy line",
+        command=step.command,
+        tips={"time": "time", "angle": "angle (rad)"},
+        x="time",
+        y="angle",
+    )
+
+
+def _draw_impact(
+    axes: Axes, step: TracedStep, data: pd.DataFrame, word: str, at: float
+) -> None:
+    """Draw an impact at a time, with its name where there is room."""
     low, high = axes.get_ylim()
-    for word, at in impacts:
-        near = data.loc[(data["time"] - at).abs() < 0.05 * period, "angle"]
-        is_below = (
-            near.min() - low >= high - near.max()
-        )  # the words stand where there is room
-        axes.axvline(
-            at, color=MUTED, lw=0.8, ls="-" if word == "heelstrike" else DOTTED
-        )
-        how: Any = (
-            {"ha": "right", "va": "bottom"} if is_below else {"ha": "left", "va": "top"}
-        )
-        how |= {"xycoords": axes.get_xaxis_transform(), "rotation": 90, "fontsize": 8}
-        write_at(
-            axes,
-            word,
-            (at, 0.01 if is_below else 0.99),
-            (-2 if is_below else 2, 0),
-            **how,
-        )
-    axes.set_xlim(0, 2 * period)
+    is_near = (data["time"] - at).abs() < 0.05 * step.period
+    near = data.loc[is_near, "angle"]
+    is_below = near.min() - low >= high - near.max()
+
+    dashes = "-" if word == "heelstrike" else DOTTED
+    axes.axvline(at, color=MUTED, lw=0.8, ls=dashes)
+    place, beside = (at, 0.99), (2, 0)
+    how: Any = {"ha": "left", "va": "top"}
+    if is_below:
+        place, beside = (at, 0.01), (-2, 0)
+        how = {"ha": "right", "va": "bottom"}
+    how |= {"xycoords": axes.get_xaxis_transform(), "rotation": 90, "fontsize": 8}
+    write_at(axes, word, place, beside, **how)
 
 
 def _one_per_walker(steps: list[TracedStep]) -> list[TracedStep]:

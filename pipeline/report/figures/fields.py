@@ -7,7 +7,6 @@ has 8 digits of a number in some 8 kilobytes (read by scripts/address.js).
 """
 
 import itertools
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -69,53 +68,77 @@ def fitting(
 
 
 def _residuals(exact: np.ndarray) -> np.ndarray:
-    """What predictions miss, in the order in which the script reads them."""
-    m, n = exact.shape
-    held, s, out = np.zeros((m, n)), 1, []
-    absent = ~np.isfinite(exact)
-    while 8 * s < max(m, n):
-        s *= 2
-    for i, j in itertools.product(range(0, m, 2 * s), range(0, n, 2 * s)):
-        before = held[i, j - 2 * s] if j else held[i - 2 * s, 0] if i else 0.0
-        held[i, j] = before if absent[i, j] else np.floor(exact[i, j] + 0.5)
-        out.append(held[i, j : j + 1] - before)
+    """What predictions miss, in the order in which the script reads them: a coarse grid,
+    each value from the one before, then what halves the grid's steps, columns and rows.
+    """
+    held = _Held(exact)
+    step = 1
+    while 8 * step < max(exact.shape):
+        step *= 2
+    _hold_coarse(held, 2 * step)
+    while step >= 1:
+        _hold_finer(held, step)
+        step //= 2
+    return np.concatenate(held.residuals).astype(np.int64)
 
-    def settle(part: Any, predicted: np.ndarray, error: float) -> None:
-        missed = ~absent[part] & (np.abs(exact[part] - predicted) > error)
-        held[part] = np.where(missed, np.floor(exact[part] + 0.5), predicted)
-        out.append(held[part] - predicted)
 
-    while s >= 1:
-        error = max(0.5, _ERROR / s)
-        for j in range(s, n, 2 * s):
-            rows = slice(0, m, 2 * s)
-            settle(
-                (rows, j),
-                _predict([held[rows, a] for a in range(0, n, 2 * s)], j, s),
-                error,
-            )
-        for i in range(s, m, 2 * s):
-            columns = slice(0, n, s)
-            settle(
-                (i, columns),
-                _predict([held[a, columns] for a in range(0, m, 2 * s)], i, s),
-                1.5 * error,
-            )
-        s //= 2
-    return np.concatenate(out).astype(np.int64)
+def _hold_coarse(held: "_Held", step: int) -> None:
+    """Hold every so many values, each as the whole number that it is."""
+    m, n = held.values.shape
+    for i, j in itertools.product(range(0, m, step), range(0, n, step)):
+        before = 0.0
+        if j:
+            before = held.values[i, j - step]
+        elif i:
+            before = held.values[i - step, 0]
+        held.settle((i, slice(j, j + 1)), np.array([before]), 0.0)
+
+
+def _hold_finer(held: "_Held", step: int) -> None:
+    """Hold the values between those at twice a step."""
+    m, n = held.values.shape
+    error = max(0.5, _ERROR / step)
+    for j in range(step, n, 2 * step):
+        rows = slice(0, m, 2 * step)
+        known = [held.values[rows, a] for a in range(0, n, 2 * step)]
+        held.settle((rows, j), _predict(known, j, step), error)
+    for i in range(step, m, 2 * step):
+        columns = slice(0, n, step)
+        known = [held.values[a, columns] for a in range(0, m, 2 * step)]
+        held.settle((i, columns), _predict(known, i, step), 1.5 * error)
+
+
+class _Held:
+    """Values (m, n) as the script will hold them, and by what each missed its
+    prediction, 0 where that is as near as wanted.
+    """
+
+    def __init__(self, exact: np.ndarray):
+        self.exact, self.absent = exact, ~np.isfinite(exact)
+        self.values = np.zeros(exact.shape)
+        self.residuals = list[np.ndarray]()
+
+    def settle(self, part: Any, predicted: np.ndarray, error: float) -> None:
+        """Hold a part as predicted, or to a whole number where that errs by more."""
+        exact = self.exact[part]
+        missed = ~self.absent[part] & (np.abs(exact - predicted) > error)
+        self.values[part] = np.where(missed, np.floor(exact + 0.5), predicted)
+        self.residuals.append(self.values[part] - predicted)
 
 
 def _predict(known: list[np.ndarray], x: int, s: int) -> np.ndarray:
     """Value at place x of the polynomial through the nearest of known values at 0, 2 s,
     4 s …, to a whole number.
     """
-    first = max(0, min(max(0, x // (2 * s) - _WIDTH // 2 + 1), len(known) - _WIDTH))
-    at = range(first, min(first + _WIDTH, len(known)))
+    first = max(0, x // (2 * s) - _WIDTH // 2 + 1)
+    first = max(0, min(first, len(known) - _WIDTH))
+    nodes = range(first, min(first + _WIDTH, len(known)))
     total: Any = 0.0
-    for k in at:
-        weight = math.prod(
-            (x - 2 * s * b) / (2 * s * k - 2 * s * b) for b in at if b != k
-        )
+    for k in nodes:
+        weight = 1.0
+        for other in nodes:
+            if other != k:
+                weight *= (x - 2 * s * other) / (2 * s * k - 2 * s * other)
         total = total + known[k] * weight
     return np.asarray(np.floor(total + 0.5))
 

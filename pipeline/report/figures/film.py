@@ -45,30 +45,51 @@ def poses(motion: xr.Dataset, body: Body, moments: np.ndarray) -> list[Pose]:
     """The walker at some moments; the foot of each step stands where the hip of the
     last step leads to.
     """
-    begins, foot, steps = np.concatenate([[0], np.cumsum(lengths(motion))]), 0.0, []
-    for k in range(len(begins) - 1):
-        arrays = [
-            motion[name].values[k].ravel()
-            for name in ("time", "theta_st", "theta_th", "theta_sh")
-        ]
-        time, stance, thigh, shank = (array[np.isfinite(arrays[0])] for array in arrays)
-        steps.append(
-            (foot, time, stance, thigh, np.where(np.isfinite(shank), shank, thigh))
-        )
-        foot += body.hip(stance[-1]).real - body.hip(-stance[-1]).real
+    begins = np.concatenate([[0], np.cumsum(lengths(motion))])
+    steps = list(_steps(motion, body, len(begins) - 1))
     found = []
     for moment in moments:
-        k = int(min(np.searchsorted(begins, moment, side="right") - 1, len(steps) - 1))
-        foot, time, *angles = steps[k]
-        stance, thigh, shank = (
-            float(np.interp(moment - begins[k], time, angle)) for angle in angles
-        )
-        found.append(
-            Pose(foot + complex(body.hip(stance)), foot, stance, thigh, shank, k)
-        )
-        if found[-1].hip.imag <= 0:  # what falls lies on the ground
+        begun = int(np.searchsorted(begins, moment, side="right"))
+        k = min(begun - 1, len(steps) - 1)
+        pose = steps[k].pose(moment - begins[k], body, k)
+        found.append(pose)
+        if pose.hip.imag <= 0:  # what falls lies on the ground
             break
     return found
+
+
+class _Step(NamedTuple):
+    """A step: where its foot stands, and the angles of stance leg, thigh and shank,
+    (n,) each, at times since it began.
+    """
+
+    foot: float
+    time: np.ndarray
+    angles: list[np.ndarray]
+
+    def pose(self, time: float, body: Body, number: int) -> Pose:
+        """The walker at a time."""
+        stance, thigh, shank = (
+            float(np.interp(time, self.time, angle)) for angle in self.angles
+        )
+        hip = self.foot + complex(body.hip(stance))
+        return Pose(hip, self.foot, stance, thigh, shank, number)
+
+
+def _steps(motion: xr.Dataset, body: Body, count: int) -> Iterator[_Step]:
+    """The steps of a motion; a leg whose knee is locked has a shank in line."""
+    foot = 0.0
+    for k in range(count):
+        time, stance, thigh, shank = (
+            motion[name].values[k].ravel()
+            for name in ("time", "theta_st", "theta_th", "theta_sh")
+        )
+        known = np.isfinite(time)
+        shank = np.where(np.isfinite(shank), shank, thigh)
+        angles = [angle[known] for angle in (stance, thigh, shank)]
+        yield _Step(foot, time[known], angles)
+        last = angles[0][-1]
+        foot += body.hip(last).real - body.hip(-last).real
 
 
 def draw(

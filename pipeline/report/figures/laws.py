@@ -123,50 +123,53 @@ def transition_ladder(source: Source, table: pd.DataFrame) -> Sketch | None:
     table = table[table["foot_mass_ratio"] > 0]
     if not np.isfinite(table["slope_transition"]).any():
         return None
-    has_exponents = any(
-        c.startswith("local_exponent") and not c.endswith(("_low", "_high"))
-        for c in table.columns
-    )
-    shape: Any = (
-        {"rows": 2, "sharex": True, "height_ratios": [5, 3]} if has_exponents else {}
-    )
-    sketch = Sketch("transition_ladder", 380 if has_exponents else 260, **shape)
-    top, below = sketch.panels[0], sketch.panels[-1]
-    ratio = table["foot_mass_ratio"].to_numpy()
-    anchor = table[np.isfinite(table["slope_transition"])].iloc[0]
-    law = anchor["slope_transition"] * (ratio / anchor["foot_mass_ratio"]) ** 1.5
-    top.plot(ratio, law, color=INK, lw=1, ls=DOTTED, label="∝ ρ³ᐟ²")
-    if has_exponents:
-        below.axhline(1.5, color=INK, lw=1, ls=DOTTED)
+    sketch = _ladder(has_exponents=bool(_columns(table, "local_exponent")))
+    ratio = table["foot_mass_ratio"]
+    top = sketch.panels[0]
+    top.plot(ratio, _three_halves(table), color=INK, lw=1, ls=DOTTED, label="∝ ρ³ᐟ²")
     for axes, stem in zip(sketch.panels, _TITLES, strict=False):
         _draw_columns(sketch, axes, table, stem)
     if "asymptotic" in table:
-        top.plot(
-            ratio, table["asymptotic"], color=MUTED, lw=0.9, label="asymptotic formula"
-        )
+        formula = table["asymptotic"]
+        top.plot(ratio, formula, color=MUTED, lw=0.9, label="asymptotic formula")
     top.legend(loc="upper left")
-    first = (
-        table["local_exponent"].dropna()
-        if "local_exponent" in table
-        else pd.Series(dtype=float)
-    )
-    lightest = (
-        f" The local exponent is {plain(first.iloc[0])} at the lightest feet."
-        if len(first)
-        else ""
-    )
+
+    lightest = ""
+    if "local_exponent" in table and table["local_exponent"].notna().any():
+        first = plain(table["local_exponent"].dropna().iloc[0])
+        lightest = f" The local exponent is {first} at the lightest feet."
     return sketch.finish(table, low=ratio.min(), high=ratio.max(), lightest=lightest)
+
+
+def _ladder(has_exponents: bool) -> Sketch:
+    """Empty panels: of the slopes and, if there are any, of the local exponents, with
+    the law's.
+    """
+    if not has_exponents:
+        return Sketch("transition_ladder", 260)
+    sketch = Sketch("transition_ladder", 380, 2, sharex=True, height_ratios=[5, 3])
+    sketch.panels[1].axhline(1.5, color=INK, lw=1, ls=DOTTED)
+    return sketch
+
+
+def _three_halves(table: pd.DataFrame) -> pd.Series:
+    """Slopes by the 3/2 law, through the first that is known."""
+    anchor = table[np.isfinite(table["slope_transition"])].iloc[0]
+    share = table["foot_mass_ratio"] / anchor["foot_mass_ratio"]
+    law: pd.Series = anchor["slope_transition"] * share**1.5
+    return law
+
+
+def _columns(table: pd.DataFrame, stem: str) -> list[str]:
+    """The columns of a quantity, without their bounds."""
+    own = [column for column in table.columns if column.startswith(stem)]
+    return [column for column in own if not column.endswith(("_low", "_high"))]
 
 
 def _draw_columns(sketch: Sketch, axes: Any, table: pd.DataFrame, stem: str) -> None:
     """Draw the columns of a quantity against the foot mass ratio."""
-    columns = [
-        c
-        for c in table.columns
-        if c.startswith(stem) and not c.endswith(("_low", "_high"))
-    ]
     words, tip = _TITLES[stem]
-    for k, column in enumerate(columns):
+    for k, column in enumerate(_columns(table, stem)):
         rest = spaced(column.removeprefix(stem)).strip()
         name = f"{words.partition(' of ')[0]}, {rest}" if rest else words
         how: Any = {"color": _INKS[k % 3], "lw": 1, "marker": MARKERS[k % 5], "ms": 4.5}
