@@ -115,7 +115,7 @@ class _Held:
 
     def __init__(self, exact: np.ndarray):
         self.exact, self.absent = exact, ~np.isfinite(exact)
-        self.values = np.zeros(exact.shape)
+        self.values = np.zeros_like(exact, float)
         self.residuals = list[np.ndarray]()
 
     def settle(self, part: Any, predicted: np.ndarray, error: float) -> None:
