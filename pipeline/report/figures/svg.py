@@ -168,46 +168,54 @@ def _adapt(svg: str, decimals: int) -> str:
 
 def _targets(marks: list[Marks], height: float) -> list[dict[str, Any]]:
     """Marks in the SVG's coordinates, at most `TARGETS` per figure."""
-    targets = []
     share = _share([len(mark.rows) for mark in marks])
-    for mark in marks:
-        x, y = (mark.rows[column].astype(float) for column in (mark.x, mark.y))
-        inside = x.between(*sorted(mark.axes.get_xlim())) & y.between(
-            *sorted(mark.axes.get_ylim())
-        )
-        rows = thin(mark.rows[inside], share)
-        if rows.empty:
-            continue
-        pixels = mark.axes.transData.transform(rows[[mark.x, mark.y]].to_numpy(float))
-        tips = {column: title for column, title in mark.tips.items() if column in rows}
-        more = next(
-            (
-                rows[column].tolist()
-                for column in ("command", "slope")
-                if column in rows
-            ),
-            [None] * len(rows),
-        )
-        shown = [
-            [
-                round(float(a), 1),
-                round(float(height - b), 1),
-                command,
-                *map(_text, values),
-            ]
-            for (a, b), command, *values in zip(
-                pixels, more, *(rows[c].tolist() for c in tips), strict=True
-            )
-        ]
-        target = {
-            "label": mark.label,
-            "names": [*tips.values()],
-            "command": mark.command,
-            "rows": shown,
-        }
-        target |= _starts(mark, rows) | ({"above": True} if mark.above else {})
-        targets.append(target if mark.group is None else {**target, "line": mark.group})
+    shown = [(mark, thin(_inside(mark), share)) for mark in marks]
+    targets = [_target(mark, rows, height) for mark, rows in shown if len(rows)]
     return targets[:TARGETS]
+
+
+def _inside(mark: Marks) -> pd.DataFrame:
+    """The rows of marks that lie within their axes."""
+    x, y = mark.rows[mark.x].astype(float), mark.rows[mark.y].astype(float)
+    across = x.between(*sorted(mark.axes.get_xlim()))
+    upward = y.between(*sorted(mark.axes.get_ylim()))
+    return mark.rows[across & upward]
+
+
+def _target(mark: Marks, rows: pd.DataFrame, height: float) -> dict[str, Any]:
+    """Some rows of marks: their places, and what is told and asked of each."""
+    tips = {column: title for column, title in mark.tips.items() if column in rows}
+    target = {
+        "label": mark.label,
+        "names": [*tips.values()],
+        "command": mark.command,
+        "rows": _placed(mark, rows, [*tips], height),
+        **_starts(mark, rows),
+    }
+    if mark.above:
+        target["above"] = True
+    if mark.group is not None:
+        target["line"] = mark.group
+    return target
+
+
+def _placed(
+    mark: Marks, rows: pd.DataFrame, told: list[str], height: float
+) -> list[list[Any]]:
+    """Place, command or slope, and words of each row."""
+    points = rows[[mark.x, mark.y]].to_numpy(float)
+    pixels = mark.axes.transData.transform(points)
+    asked: list[Any] = [None] * len(rows)
+    for column in ("slope", "command"):  # the latter, where there are both
+        if column in rows:
+            asked = rows[column].tolist()
+
+    columns = [rows[column].tolist() for column in told]
+    placed = []
+    for (x, y), own, *values in zip(pixels, asked, *columns, strict=True):
+        place = [round(float(x), 1), round(float(height - y), 1)]
+        placed.append([*place, own, *map(_text, values)])
+    return placed
 
 
 def _share(sizes: list[int]) -> int:
@@ -255,23 +263,33 @@ def _panel(k: int, panels: list[Panel], height: float) -> dict[str, Any]:
         frame[side]["name"] = values.name
         if not k or not np.array_equal(values, first):
             frame[side]["values"] = rounded(values, 12)
+
     earlier = [other.cells for other in panels[:k]]
-    same = {
-        name: i
-        for name, value in panel.cells.items()
-        if (i := _first(earlier, name, value)) is not None
-    }
-    own = {name: value for name, value in panel.cells.items() if name not in same}
+    own, same = _apart(panel.cells, earlier)
     if "fields" in own:
-        places = {
-            name: _first([c["fields"] for c in earlier], name, field)
-            for name, field in own["fields"].items()
-        }
+        fields, places = _apart(own["fields"], [each["fields"] for each in earlier])
+        repeated = {name: {"as": place} for name, place in places.items()}
+        # In the order of the fields, which the page counts.
         own["fields"] = {
-            n: f if places[n] is None else {"as": places[n]}
-            for n, f in own["fields"].items()
+            name: fields.get(name, repeated.get(name)) for name in own["fields"]
         }
-    return {**frame, **own, **({"same": same} if same else {})}
+    if same:
+        own["same"] = same
+    return frame | own
+
+
+def _apart(
+    held: Mapping[str, Any], earlier: Sequence[Mapping[str, Any]]
+) -> tuple[dict[str, Any], dict[str, int]]:
+    """What only this map holds by a name, and the places of those that hold the rest."""
+    own, places = dict[str, Any](), dict[str, int]()
+    for name, value in held.items():
+        place = _first(earlier, name, value)
+        if place is None:
+            own[name] = value
+        else:
+            places[name] = place
+    return own, places
 
 
 def _first(earlier: Sequence[Mapping[str, Any]], name: str, value: Any) -> int | None:
