@@ -70,61 +70,61 @@ def combine(
     and ledger of all pages there.
     """
     texts = {f"{slug}.html": text for slug, (text, _) in pages.items()}
-    previous, current = (
-        entry.read_all(out),
-        {name: record for name in texts for record in entry.read(texts[name])},
-    )
-    kept = {
-        name: record
-        for name, record in previous.items()
-        if name not in texts and not only
-    }
-    entries = sorted((kept | current).values(), key=lambda record: record.order)
-    _check_own(
-        out, pages, {name for record in previous.values() for name in record.files}
-    )
+    previous = entry.read_all(out)
+    current = {name: record for name in texts for record in entry.read(texts[name])}
+    kept = {} if only else {k: v for k, v in previous.items() if k not in texts}
+    found = kept | current
+    entries = sorted(found.values(), key=lambda record: record.order)
+    report = _Report(environment, entries)
+
+    written = {name for record in previous.values() for name in record.files}
+    _check_own(out, pages, written)
     for _, files in pages.values():
         for name, text in files.items():
             _publish(out / name, text)
-    report = _Report(environment, entries)
-    texts = {
-        name: text
-        for name, text in texts.items()
-        if name not in current or not current[name].text
-    }
-    for name in kept.keys() & {f"{record.slug}.html" for record in report.shown}:
-        texts[name] = (out / name).read_text(encoding="utf-8")
+    for record in report.shown:
+        name = f"{record.slug}.html"
+        if name in kept:
+            texts[name] = (out / name).read_text(encoding="utf-8")
     for name, text in texts.items():
-        _publish(out / name, report.filled(text, (kept | current).get(name)))
-    wanted = {
-        *(f"{record.slug}.html" for record in report.shown),
-        *(name for r in entries for name in r.files),
-    }
+        # A study that only feeds the ledger has no page.
+        if name not in current or not current[name].text:
+            _publish(out / name, report.filled(text, found.get(name)))
+
+    wanted = {f"{record.slug}.html" for record in report.shown}
+    wanted.update(*(record.files for record in entries))
     for record in previous.values():
         entry.remove(out, record, wanted)
-    if report.claims:
-        _publish(out / "ledger.html", report.page("ledger"))
-        _publish(out / _LEDGER, csv_text(ledger.table(report.ledger)))
-    else:
-        for name in ("ledger.html", _LEDGER):
-            (out / name).unlink(missing_ok=True)
+    _write_ledger(out, report)
     with contextlib.suppress(OSError):  # no data, or other files there
         (out / "csv").rmdir()
     _publish(out / "index.html", report.page("index"))
     if bundle or (out / "bundle.html").exists():
-        names = [
-            "index",
-            *(["ledger"] if report.claims else []),
-            *(record.slug for record in report.shown),
-        ]
-        texts = {
-            name: _bundled((out / f"{name}.html").read_text(encoding="utf-8"), names)
-            for name in names
-        }
-        _publish(
-            out / "bundle.html",
-            environment.get_template("bundle.html").render(texts=texts),
-        )
+        _write_bundle(out, report)
+
+
+def _write_ledger(out: Path, report: "_Report") -> None:
+    """Write the ledger and its data, or remove them where no page has claims."""
+    if report.claims:
+        _publish(out / "ledger.html", report.page("ledger"))
+        _publish(out / _LEDGER, csv_text(ledger.table(report.ledger)))
+        return
+    for name in ("ledger.html", _LEDGER):
+        (out / name).unlink(missing_ok=True)
+
+
+def _write_bundle(out: Path, report: "_Report") -> None:
+    """Write all pages as one file."""
+    names = ["index"]
+    if report.claims:
+        names.append("ledger")
+    names += [record.slug for record in report.shown]
+    texts = {}
+    for name in names:
+        text = (out / f"{name}.html").read_text(encoding="utf-8")
+        texts[name] = _bundled(text, names)
+    template = report.environment.get_template("bundle.html")
+    _publish(out / "bundle.html", template.render(texts=texts))
 
 
 def _bundled(text: str, names: list[str]) -> str:
