@@ -221,7 +221,7 @@ def _checked(
         except StudyError as error:
             unsolvable.append((every[is_slope[every]], error))
         else:
-            can_be = is_slope | is_level & ("drive" in check["features"])
+            can_be = is_slope | is_level & check["driven"]
             lines.append(_Line(base, line, every[can_be[every]], slope, check))
     return lines, unsolvable
 
@@ -257,7 +257,7 @@ def _check(base: Study, line: dict[str, Any], slope: np.ndarray) -> dict[str, An
     name = "check_target" if base.at else "check_walker"
     asked = {**line, **base.at, "values": slope}
     check: dict[str, Any] = dispatch.ask(name, asked)
-    if slopes.is_level(line.get("slope", 1.0)) and "drive" not in check["features"]:
+    if slopes.is_level(line.get("slope", 1.0)) and not check["driven"]:
         raise slopes.undriven(line["slope"])
     return check
 

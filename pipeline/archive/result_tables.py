@@ -19,12 +19,12 @@ from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.columns import table_columns
 
 Columns = dict[str, np.ndarray]
-#: Dimensions of each array after those of the lines, by the columns that hold their
-#: coordinates.
+#: Dimensions of each array after those of the lines and of the points along them, by
+#: the columns that hold their coordinates.
 _LAYOUTS = {
-    "basin": ("slope", "stance_angle", "stance_rate"),
-    "stable_manifold": ("slope", "point"),
-    "orbits": ("slope", "start", "stride"),
+    "basin": ("stance_angle", "stance_rate"),
+    "stable_manifold": ("point",),
+    "orbits": ("start", "stride"),
 }
 #: Names of dimensions that differ from the columns'.
 _RENAMED = {"stride": "step"}
@@ -110,9 +110,11 @@ def _task_runs(
         return
     for i in range(plan.study.batches):
         numbers = plan.study.batch(i)
+        line = plan.study.batch_line(i)
         coordinates = {
             "walker": plan.study.name_of(int(numbers[0])),
-            **plan.study.batch_line(i)["set"],
+            **line["set"],
+            **{name: line[name] for name in ("slope",) if name in line},
         }
         yield coordinates, plan.graph.line_keys(i)[name], numbers
 
@@ -181,7 +183,7 @@ def _stack(parts: Sequence[Columns]) -> Columns:
 
 
 def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
-    if set(_LAYOUTS.get(group, ("",))) <= set(columns):
+    if {plan.study.along, *_LAYOUTS.get(group, ("",))} <= set(columns):
         _Arrays(file, plan, group, columns).write()
         return
     netcdf_group = file.createGroup(group)
@@ -199,8 +201,8 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
 
 
 class _Arrays:
-    """Writes the rows of a table as arrays over the lines' axes and slope, which are
-    its cases, and then over the table's own dimensions.
+    """Writes the rows of a table as arrays over the lines' axes and the axis along
+    them, which are its cases, and then over the table's own dimensions.
 
     A coordinate that differs from case to case, as the ranges of basins do by default,
     is an array over the cases and its own index.
@@ -211,17 +213,17 @@ class _Arrays:
         self.group = group
         self.columns = columns
         self.netcdf_group = file.createGroup(group)
-        self.dims = [*plan.graph.grid.line_dims, "slope"]
+        self.dims = [*plan.graph.grid.line_dims, plan.study.along]
         self.sizes, self.case = _cases(plan, self.dims, columns)
         #: Of the table's own coordinates the place of each row, and their number.
         self.inner: dict[str, tuple[np.ndarray, int]] = {}
 
     def write(self) -> None:
         """Write coordinates, then all other columns."""
-        slope = self.plan.study.slope
-        self.netcdf_group.createDimension("slope", len(slope))
-        self._variable("slope", ("slope",), slope, self._described("slope"))
-        for name in _LAYOUTS[self.group][1:]:
+        along, values = self.plan.study.along, self.plan.study.slope
+        self.netcdf_group.createDimension(along, len(values))
+        self._variable(along, (along,), values, self._described(along))
+        for name in _LAYOUTS[self.group]:
             self._write_coordinate(name)
 
         for name, values in self.columns.items():

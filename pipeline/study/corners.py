@@ -44,9 +44,14 @@ def check_walkers(
         if study.kind == "optimum":
             _check_optimum(study, candidate, values, top.at("options"))
         # What the walker has at any corner, it has on some lines.
-        known = checks.get(number, check)["features"]
-        features = tuple(dict.fromkeys((*known, *check["features"])))
-        checks[number] = {**check, "features": features}
+        known = checks.get(number, check)
+        features = tuple(dict.fromkeys((*known["features"], *check["features"])))
+        is_driven = (
+            known["driven"]
+            or check["driven"]
+            or _drives(study, line_of(candidate, values))
+        )
+        checks[number] = {**check, "features": features, "driven": is_driven}
     return tuple(checks.values())
 
 
@@ -68,11 +73,10 @@ def _corners(study: Study) -> Iterator[tuple[int, Definition, dict[str, float]]]
     """Number of each walker, the walker, and values of the axes at the corners of the
     grid.
     """
-    ends = [
-        sorted({float(axis.values[0]), float(axis.values[-1])})
-        for axis in study.line_axes
-    ]
-    names = [axis.name for axis in study.line_axes]
+    axes = [*study.line_axes]
+    axes += [axis for axis in study.axes if axis.name == study.drive]
+    ends = [sorted({float(axis.values[0]), float(axis.values[-1])}) for axis in axes]
+    names = [axis.name for axis in axes]
     for number, walker in enumerate(study.walkers):
         for corner in itertools.islice(itertools.product(*ends), _MOST):
             yield number, walker, dict(zip(names, corner, strict=True))
@@ -137,6 +141,18 @@ def _can_be(walker: Definition, values: dict[str, float]) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _drives(study: Study, line: dict[str, Any]) -> bool:
+    """Whether more than gravity drives a walker at any corner of the plane over which
+    curves are followed.
+    """
+    plane = study.options.get("plane", {})
+    corners = itertools.product(*plane.values()) if plane else ()
+    return any(
+        dispatch.call("check_walker", {**line, "set": {**line["set"], **own}})["driven"]
+        for own in (dict(zip(plane, corner, strict=True)) for corner in corners)
+    )
 
 
 def _check_plane(

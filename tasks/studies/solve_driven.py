@@ -49,13 +49,11 @@ def driven(walker: Walker, slope: float, steps: int = 1) -> tuple[Problem, float
         In units of the leg, the walker's mass and g; a torque over the swing leg's
         inertia, too.
     """
-    # A spring that rests at an angle is one that rests with the legs together, and a
-    # constant torque.
-    torque = walker.hip_torque + walker.hip_stiffness * walker.hip_rest
-    turns = torque > 0 and not walker.massless_leg
-    if turns and not walker.push_off:
+    turns = walker.is_driven and not walker.pushes_off
+    if turns:
+        torque = walker.forward_torque
         walker = walker.having("hip_rest", 0.0).having("hip_torque", torque)
-    key = HIP_TORQUE if turns and not walker.push_off else PUSH_OFF
+    key = HIP_TORQUE if turns else PUSH_OFF
     drive = Drive(key, slope)
     problem = Problem(walker.having(key, 0.0), steps, drive)
     return problem, drive.of(walker)

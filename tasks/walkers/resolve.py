@@ -576,7 +576,9 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `si` and `kneed` (bool), `features` (what some variables are of), `multipliers`
+        `si` and `kneed` (bool), `features` (what some variables are of), `driven`
+        (whether more than gravity drives it, so that it may walk on level ground),
+        `multipliers`
         (their number), `table` (the walker before `set`), `parameters` (the walker with
         `set`), `varied` (for each key of the walker that `set` moves, the keys of `set`
         that do), `tuned` (keys that are
@@ -607,6 +609,7 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "si": walker.si,
         "kneed": walker.knees,
         "features": walker.features,
+        "driven": walker.is_driven,
         "multipliers": 4 if walker.knees else 3,
         "table": resolve(given).table(),
         "parameters": walker.table(),

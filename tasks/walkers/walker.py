@@ -390,6 +390,21 @@ class Walker:
         return not (self.has_hip_torque or self.pushes_off)
 
     @property
+    def forward_torque(self) -> float:
+        """The constant torque between the thighs: a spring that rests at an angle is one
+        that rests with the legs together, and such a torque.
+        """
+        return self.hip_torque + self.hip_stiffness * self.hip_rest
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether more than gravity drives, so that it may walk on level ground: a
+        push-off, or a forward torque between legs with mass.
+        """
+        turns = _any(self.forward_torque > 0) and not self.massless_leg
+        return self.pushes_off or turns
+
+    @property
     def features(self) -> tuple[str, ...]:
         """What some variables are of: "knees", "locked_knee", "push_off", "hip_torque",
         and "drive" for either of the last two.
