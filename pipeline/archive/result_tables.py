@@ -362,6 +362,10 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     kind, meaning = meaning_of(name, group)
     if name == "detuning":
         meaning = of_axis(name, study.checks)["long_name"]
+    if study.drive and name != "slope" and "slope" in meaning:
+        # What drives stands in the place of the slope.
+        meaning = meaning.replace("slope", study.drive)
+        kind = units.kinds()[study.drive] if kind == "angle" else kind
     attributes = units.described(over_steps(meaning, study.steps), kind, study.checks)
     if study.kind == "curve" and group in ("curves", "turnings"):
         options = registry.options("curve", study.options)
