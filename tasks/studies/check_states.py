@@ -747,13 +747,15 @@ class _Case:
                 self.say("before_heelstrike", lanes[are])
 
     def judge_rounded_slopes(self) -> None:
-        """Tell rows that are gaits of the slope that was rounded to theirs."""
+        """Tell rows that are gaits of the slope that was rounded to theirs, of one above
+        0 that was rounded to 0 too.
+        """
         near, slope = self.rows.near_slope, self.rows.slope
         lanes = self.steppable
         is_rounded = near[lanes] > self.rows.relative * slope[lanes]
-        lanes = lanes[is_rounded & (slope[lanes] > near[lanes])]
+        lanes = lanes[is_rounded & (slope[lanes] + near[lanes] > 0)]
         with np.errstate(invalid="ignore", divide="ignore"):
-            low, high = np.log(slope - near), np.log(slope + near)
+            low, high = np.log(np.maximum(slope - near, 0.0)), np.log(slope + near)
         for found in self._on_branches(lanes):
             q = np.log(found.slope)
             along = np.clip(q + found.along, low[lanes], high[lanes]) - q

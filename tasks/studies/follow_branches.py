@@ -29,6 +29,7 @@ from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
 from gaitsweep.tasks.studies.followed import followed_over
 from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Columns of the tables `branches` and `special_points`, with the slope where it
 #: drives.
@@ -39,6 +40,8 @@ COLUMNS = (
 SPECIAL = ("branch", "kind", "slope", "stance_angle", *RATES, "period", "error_bound")
 #: Largest number of points between two nodes; a window that needs more is too narrow.
 _MAX_PARTS = 65536
+#: Walkers of different torques that are measured at once.
+_AT_ONCE = 128
 #: Least share of ln slope in a branch's direction for points to be corrected at their
 #: slopes.
 _STEEP = 1e-2
@@ -233,15 +236,17 @@ def _least_force(
 
 def _walkers(
     problem: Problem, drive: PerLane
-) -> Iterator[tuple[Walker, slice | Numbers]]:
+) -> Iterator[tuple[Walker, slice]]:
     """Yield the walkers that values of what drives make, as far as these act during the
-    motion, and of which lanes each is.
+    motion, and of which lanes they are.
     """
     if problem.drive.key != HIP_TORQUE:
         yield problem.walker, slice(None)
         return
-    for lanes, driven, _ in problem.at_slopes(drive):
-        yield driven.walker, lanes
+    for k in range(0, len(drive), _AT_ONCE):
+        lanes = slice(k, k + _AT_ONCE)
+        own = [problem.drive.at(problem.walker, x)[0] for x in drive[lanes].tolist()]
+        yield WalkerArray.of(own), lanes
 
 
 def _leaves_window(
