@@ -75,10 +75,10 @@ def of_axis(name: str, checks: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     return about
 
 
-def differentiated() -> tuple[str, ...]:
-    """The slope and the keys by which measures are differentiated, in order."""
+def differentiated(count: int) -> tuple[str, ...]:
+    """The slope and the keys by which measures are differentiated, so many, in order."""
     names: tuple[str, ...] = resolve("gaitsweep.tasks.walkers.walker:DIFFERENTIATED")
-    return names
+    return names[:count]
 
 
 def of_dataset(study: Study) -> dict[str, Any]:

@@ -43,16 +43,24 @@ def check_walkers(
             _check_curve(study, candidate, values, top.at("options"))
         if study.kind == "optimum":
             _check_optimum(study, candidate, values, top.at("options"))
-        # What the walker has at any corner, it has on some lines.
-        known = checks.get(number, check)
-        features = tuple(dict.fromkeys((*known["features"], *check["features"])))
-        is_driven = (
-            known["driven"]
-            or check["driven"]
-            or _drives(study, line_of(candidate, values))
-        )
-        checks[number] = {**check, "features": features, "driven": is_driven}
+        driven = check["driven"] or _drives(study, line_of(candidate, values))
+        checks[number] = _together(checks.get(number, check), check, driven)
     return tuple(checks.values())
+
+
+def _together(
+    known: dict[str, Any], check: dict[str, Any], driven: bool
+) -> dict[str, Any]:
+    """What is known of a walker after another corner, where it may be driven: what it
+    has at any corner, it has on some lines.
+    """
+    features = dict.fromkeys((*known["features"], *check["features"]))
+    return {
+        **check,
+        "features": tuple(features),
+        "driven": known["driven"] or driven,
+        "keys": max(known["keys"], check["keys"]),
+    }
 
 
 def _checked(

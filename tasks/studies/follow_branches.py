@@ -234,9 +234,7 @@ def _least_force(
     return force.reshape(stride.steps, -1).min(axis=0)
 
 
-def _walkers(
-    problem: Problem, drive: PerLane
-) -> Iterator[tuple[Walker, slice]]:
+def _walkers(problem: Problem, drive: PerLane) -> Iterator[tuple[Walker, slice]]:
     """Yield the walkers that values of what drives make, as far as these act during the
     motion, and of which lanes they are.
     """

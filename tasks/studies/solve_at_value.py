@@ -197,6 +197,7 @@ def check_target(params: Mapping[str, Any]) -> dict[str, Any]:
         "sought": (target.vary, *moved),
         "features": tuple(features),
         "driven": any(each["driven"] for each in (checked, middle, high)),
+        "keys": max(checked["keys"], middle["keys"]),
     }
 
 

@@ -49,14 +49,15 @@ def driven(walker: Walker, slope: float, steps: int = 1) -> tuple[Problem, float
         In units of the leg, the walker's mass and g; a torque over the swing leg's
         inertia, too.
     """
-    turns = walker.is_driven and not walker.pushes_off
-    if turns:
-        torque = walker.forward_torque
-        walker = walker.having("hip_rest", 0.0).having("hip_torque", torque)
-    key = HIP_TORQUE if turns else PUSH_OFF
-    drive = Drive(key, slope)
-    problem = Problem(walker.having(key, 0.0), steps, drive)
-    return problem, drive.of(walker)
+    if walker.is_driven and not walker.pushes_off:
+        # The torque that holds a spring that rests at an angle with the legs together,
+        # so that what drives is all that turns them.
+        drive, torque = Drive(HIP_TORQUE, slope), walker.forward_torque
+        held = walker.having("hip_torque", 0.0 - walker.hip_stiffness * walker.hip_rest)
+        return Problem(held, steps, drive), torque / drive.unit(walker)
+
+    drive = Drive(PUSH_OFF, slope)
+    return Problem(walker.having(PUSH_OFF, 0.0), steps, drive), drive.of(walker)
 
 
 def branches_of(problem: Problem) -> list[Branch]:

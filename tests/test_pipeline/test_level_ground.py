@@ -201,9 +201,39 @@ def test_a_study_of_curves_over_the_push_off_is_read(tmp_path):
         read(path)
 
 
-def test_a_study_of_branches_has_no_level_ground(tmp_path):
+def test_a_study_of_branches_on_level_ground_is_over_what_drives(tmp_path):
     path = tmp_path / "s.toml"
     text = 'name = "s"\nkind = "branch"\n[walker]\nbase = "B"\npush_off = 0.1\n'
     path.write_text(text + "[axes]\nslope = [-0.01, 0.01]\n")
-    with pytest.raises(StudyError, match="of kind `branch`; got -0.01"):
+    with pytest.raises(StudyError, match="give an axis `push_off` or `hip_torque`"):
         read(path)
+
+
+def test_archives_differentiate_by_what_drives(tmp_path):
+    """The dimension `key` names what drives where any walker has it; the derivatives are
+    those of differences between gaits.
+    """
+    hip = {"hip_stiffness": 0.05, "hip_rest": 0.1, "hip_torque": 0.002}
+    study = {
+        "name": "keys",
+        "walker": {"base": "B", **hip},
+        "gaits": ["long"],
+        "axes": {"slope": [0.0, 0.01]},
+        "want": {"variables": ["stance_angle", "sensitivities"]},
+    }
+    found = gaitsweep.run(study, jobs=1, archive=tmp_path / "k.nc", quiet=True)
+    for slope in (0.0, 0.01):
+        by_key = found["stance_angle_by_key"].sel(slope=slope, gait="long")
+        assert np.isnan(by_key.sel(key="push_off"))
+        assert np.isnan(by_key.sel(key="hip_damping"))
+        for key, value in hip.items():
+            ends = [value * (1 + share) for share in (-1e-4, 1e-4)]
+            sets = [hip | {key: end} for end in ends]
+            low, high = (solve("B", slope, **own)["stance_angle"][0] for own in sets)
+            difference = (high - low) / (ends[1] - ends[0])
+            assert float(by_key.sel(key=key)) == pytest.approx(difference, rel=1e-6)
+    units = dict(zip(found["key"].values, found["key_units"].values, strict=True))
+    assert units["hip_rest"] == "rad"
+
+    passive = gaits("B", 0.01, variables=["sensitivities"])
+    assert "push_off" not in passive["key"]
