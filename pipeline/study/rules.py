@@ -22,6 +22,8 @@ from gaitsweep.tasks.contract.registry import (
 Rule: TypeAlias = Callable[[Study, Location], Iterator[StudyError]]
 #: Most free keys of an optimum.
 _MOST_FREE = 8
+#: The figure of what is varied until gaits have values of a measure.
+_SOUGHT = "sought"
 #: Largest grid; anything above is taken for a mistake.
 MAX_POINTS = 10**12
 
@@ -296,6 +298,10 @@ def _targets_are_of_gaits_of_a_grid(
 ) -> Iterator[StudyError]:
     """Gaits of one step are sought at values of a measure, in place of a grid's slopes."""
     if not study.at:
+        if _SOUGHT in study.figures:
+            yield top.at("want", "figures").error(
+                f"`{_SOUGHT}` is of gaits at values of a measure, and there is no `at`"
+            )
         return
     if study.kind != "grid":
         yield top.at("at").error(
@@ -306,7 +312,7 @@ def _targets_are_of_gaits_of_a_grid(
             f"`at` is of gaits of one step, and `steps` is {study.steps}"
         )
     for key, name in _wanted(study, "fits", "figures", "claims"):
-        if name in registry.READS or key != "figures":
+        if key != "figures" or (name in registry.READS and name != _SOUGHT):
             yield top.at("want", key).error(
                 f"`{name}` is of gaits at slopes, and `at` seeks them at values"
             )

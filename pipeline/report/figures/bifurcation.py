@@ -72,7 +72,7 @@ def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
         printed=landmarks.sentence(every),
         drawn=len(lines),
         every=len(every_line),
-        along=source.along,
+        abscissa=source.along,
         **source.words_along,
     )
 
@@ -181,7 +181,7 @@ def lyapunov(source: Source, table: pd.DataFrame) -> Sketch | None:
     ]
     about = source.words_along
     return sketch.finish(
-        chaos="; ".join(said), errors=_ERRORS, along=source.along, **about
+        chaos="; ".join(said), errors=_ERRORS, abscissa=source.along, **about
     )
 
 

@@ -118,7 +118,7 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
         count=shown.count,
         s="s" * (shown.count > 1),
         special=sum(map(len, shown.special)),
-        along=source.along,
+        abscissa=source.along,
         **source.words_along,
     )
 

@@ -137,14 +137,14 @@ class Sketch:
         data: pd.DataFrame | None = None,
         lines: Sequence[str] = (),
         inks: Sequence[str] = (),
-        along: str = "slope",
+        abscissa: str = "slope",
         **values: Any,
     ) -> "Sketch":
         """Keep the figure's data, its lines with their inks and the values of its
         words, and write the titles of its axes.
 
         Unless others are given, `count` is the number of its rows, `low` and `high` are
-        the ends of their slopes, or of their values of `along`. Where not `every` line
+        the ends of their slopes, or of their `abscissa`. Where not `every` line
         is `drawn`, some are `omitted`.
         """
         if self.last_key:
@@ -153,7 +153,7 @@ class Sketch:
         self.pieces = [
             data.assign(stable=yes_or_no(data["stable"])) if "stable" in data else data
         ]
-        self.values = _known(data, values, along) | values
+        self.values = _known(data, values, abscissa) | values
         self.lines = [
             (name, VARIABLES[ink]) for name, ink in zip(lines, inks, strict=True)
         ]
