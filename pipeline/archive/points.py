@@ -139,7 +139,6 @@ class PointWriter:
     def define(self, file: Any) -> None:
         """Create every variable, without values."""
         names, multipliers = self.plan.graph.variables, self.grid.multipliers
-        keys = self.grid.keys
         file.createDimension("gait", len(self.columns))
         if any("key" in VARIABLES[name].dims for name in names):
             self._define_keys(file)
@@ -162,11 +161,15 @@ class PointWriter:
                 **_quantization(description, self.study.accuracy),
                 # For one gait: which trailing gaits are absent is known only once all
                 # points are.
-                chunksizes=(*self.chunk, 1, *inner_sizes(name, multipliers, keys)),
+                chunksizes=(*self.chunk, 1, *self._inner(name)),
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
             self.dtypes[name] = variable.dtype
             attributes.put(variable, attributes.of_variable(description, self.study))
+
+    def _inner(self, name: str) -> tuple[int, ...]:
+        """Sizes of the dimensions of a variable after the gait."""
+        return inner_sizes(name, self.grid.multipliers, self.grid.keys)
 
     def _define_keys(self, file: Any) -> None:
         """Write the keys by which measures are differentiated, with their units."""
@@ -219,7 +222,7 @@ class PointWriter:
 
     def _pack_same(self, name: str, sizes: tuple[int, ...]) -> Packed:
         """Piece of a chunk that holds no gait."""
-        more = inner_sizes(name, self.grid.multipliers, self.grid.keys)
+        more = self._inner(name)
         return pack_values(
             np.full((*sizes, *more), VARIABLES[name].absent, self.dtypes[name]),
             (*self.chunk, *more),

@@ -46,7 +46,8 @@ def write(file: Any, plan: Plan) -> None:
     if failures:
         columns = zip(*failures, strict=True)
         names = ("task", "outcome", "reason")
-        tables = dict(zip(names, map(np.array, columns), strict=True))
+        arrays = map(np.array, columns)
+        tables = dict(zip(names, arrays, strict=True))
         _group(file, plan, "failed_tasks", tables)
     if plan.study.overlay:
         _group(file, plan, "overlay", dict(plan.study.overlay))
@@ -111,11 +112,10 @@ def _task_runs(
     for i in range(plan.study.batches):
         numbers = plan.study.batch(i)
         line = plan.study.batch_line(i)
-        coordinates = {
-            "walker": plan.study.name_of(int(numbers[0])),
-            **line["set"],
-            **{name: line[name] for name in ("slope",) if name in line},
-        }
+        coordinates = {"walker": plan.study.name_of(int(numbers[0]))}
+        coordinates |= line["set"]
+        if "slope" in line:
+            coordinates["slope"] = line["slope"]
         yield coordinates, plan.graph.line_keys(i)[name], numbers
 
 
@@ -183,7 +183,8 @@ def _stack(parts: Sequence[Columns]) -> Columns:
 
 
 def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
-    if {plan.study.along, *_LAYOUTS.get(group, ("",))} <= set(columns):
+    inner = _LAYOUTS.get(group)
+    if inner and {plan.study.along, *inner} <= set(columns):
         _Arrays(file, plan, group, columns).write()
         return
     netcdf_group = file.createGroup(group)
@@ -266,8 +267,9 @@ class _Arrays:
         counts = [self.inner[each][1] for each in along]
         array = np.full((math.prod(self.sizes), *counts), absent, dtype)
         array[(self.case, *places)] = values
-        dims = (*self.dims, *(_RENAMED.get(each, each) for each in along))
-        self._variable(name, dims, array.reshape(*self.sizes, *counts), described)
+        inner = [_RENAMED.get(each, each) for each in along]
+        shaped = array.reshape(*self.sizes, *counts)
+        self._variable(name, (*self.dims, *inner), shaped, described)
 
     def _described(self, name: str) -> dict[str, str]:
         return _attributes(self.plan, self.group, name)
@@ -324,7 +326,8 @@ def _positions(case: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
     if values.dtype.kind != "f" or len(of_each) == len(cases) * len(every):
         return place, every
     first = np.searchsorted(of_each, np.arange(len(cases)) * len(every))
-    return at - first[number], every[of_each % len(every)].reshape(len(cases), -1)
+    own = every[of_each % len(every)]
+    return at - first[number], own.reshape(len(cases), -1)
 
 
 def meaning_of(name: str, group: str = "") -> tuple[str, str]:
@@ -346,6 +349,15 @@ def meaning_of(name: str, group: str = "") -> tuple[str, str]:
     return kind, meaning or own
 
 
+def _of_drive(drive: str, kind: str, meaning: str) -> tuple[str, str]:
+    """Kind and meaning of a column of slopes, or of their errors, where what else drives
+    stands in the place of the slope.
+    """
+    if kind == "angle":
+        kind = units.kinds()[drive]
+    return kind, meaning.replace("slope", drive)
+
+
 def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     """Attributes of a column."""
     if group == "overlay" and name.endswith("_error"):
@@ -363,9 +375,7 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     if name == "detuning":
         meaning = of_axis(name, study.checks)["long_name"]
     if study.drive and name != "slope" and "slope" in meaning:
-        # What drives stands in the place of the slope.
-        meaning = meaning.replace("slope", study.drive)
-        kind = units.kinds()[study.drive] if kind == "angle" else kind
+        kind, meaning = _of_drive(study.drive, kind, meaning)
     attributes = units.described(over_steps(meaning, study.steps), kind, study.checks)
     if study.kind == "curve" and group in ("curves", "turnings"):
         options = registry.options("curve", study.options)

@@ -96,16 +96,23 @@ def parse(
         accuracy=accuracy,
         **results,
     )
+    _check(study, grid, top)
+    study = _with_checks(study, wants, top, grid.toward_at)
+
+    measured = _measurements(table.get("figures", {}), study, top.at("figures"))
+    return replace(study, overlay=measured)
+
+
+def _check(study: Study, grid: "_Grid", top: Location) -> None:
+    """Check a study by the rules for its fields, and that axes which follow the gaits
+    are those along which they are followed.
+    """
     for name in grid.adaptive:
         if name != study.along:
             raise top.at("axes", name, "adaptive").error(
                 f"`adaptive` is of the axis along which gaits are followed, `{study.along}`"
             )
     rules.check(study, top)
-    study = _with_checks(study, wants, top, grid.toward_at)
-
-    measured = _measurements(table.get("figures", {}), study, top.at("figures"))
-    return replace(study, overlay=measured)
 
 
 def _gaits(table: Mapping[str, Any], top: Location) -> tuple[str, ...]:

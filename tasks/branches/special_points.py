@@ -241,25 +241,33 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
     order = slice(None) if end == 0 else slice(None, None, -1)
     Z = branch.Z[:, order]
     tangent = branch.tangent[:, order]
-    rates = np.abs(Z[1 : branch.m, 0])
-    fastest = 1 + int(rates.argmax())
+    fastest = 1 + int(np.abs(Z[1 : branch.m, 0]).argmax())
     share = 1 / np.abs(Z[fastest])
     slope = np.exp(Z[-1])
 
     value = float(slope[0])
     left = abs(float(tangent[-1, 0] / tangent[0, 0]))
-    beyond = share > _EXTRAPOLATION_SPAN * share[0]
-    count = int(beyond.argmax()) if beyond.any() else len(share)
-    falls = abs(float(tangent[fastest, 0] / Z[fastest, 0]))
-    if falls < _ALIKE * abs(float(tangent[0, 0])):
-        count = 0
-    if left > EPS and count >= 2 * _EXTRAPOLATION_POINTS:
+    count = _near_the_end(share)
+    is_smooth = not _vanish_alike(Z[:, 0], tangent[:, 0], fastest)
+    if is_smooth and left > EPS and count >= 2 * _EXTRAPOLATION_POINTS:
         values = _extrapolated(share[:count], slope[:count])
         value = float(values[-1])
         # Rounding, which extrapolation enlarges, may be alike in the last three: they
         # were up to 3.6 times as far off.
         left = 4 * float(np.ptp(values[-3:]) / value)
     return {"slope": value, "error_bound": 4 * left + 8 * EPS}
+
+
+def _near_the_end(share: ndarray) -> int:
+    """How many of the first points are extrapolated from."""
+    beyond = share > _EXTRAPOLATION_SPAN * share[0]
+    return int(beyond.argmax()) if beyond.any() else len(share)
+
+
+def _vanish_alike(gait: ndarray, tangent: ndarray, fastest: int) -> bool:
+    """Whether the fastest rate vanishes as the angle does, at a branch's last gait (c,)."""
+    slower = abs(float(tangent[fastest] / gait[fastest]))
+    return slower < _ALIKE * abs(float(tangent[0]))
 
 
 def _extrapolated(x: ndarray, y: ndarray) -> ndarray:

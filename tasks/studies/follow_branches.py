@@ -19,7 +19,7 @@ from gaitsweep.tasks.branches.sampling import chosen, within
 from gaitsweep.tasks.branches.special_points import RATES, record, special_points
 from gaitsweep.tasks.branches.tracking import correct
 from gaitsweep.tasks.contract.status import over
-from gaitsweep.tasks.contract.tables import nothing, stacked, table
+from gaitsweep.tasks.contract.tables import Arrays, nothing, stacked, table
 from gaitsweep.tasks.gaits.multipliers import multipliers
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures import violations
@@ -73,7 +73,6 @@ def branch(
         of the slope.
     """
     problem, unit = followed_over(params, int(params.get("steps", 1)))
-    along = problem.drive.key
     window = np.array([params["slope_from"], params["slope_to"]], float)
     low, high = (window / unit).tolist()
     least = int(params.get("n", 2))
@@ -86,31 +85,36 @@ def branch(
         else:
             Z = _dense(problem, curve, low, high, least)
         if Z.shape[1]:
-            parts.append((number, unit * np.exp(Z[-1]), *_columns(problem, Z)))
+            parts.append((number, *_columns(problem, Z, unit)))
             for point in _special_within(problem, curve, low, high):
                 points.append((number, *_special_row(problem, point, unit)))
 
-    tables = stacked("branches", parts, _over(along, COLUMNS))
-    tables |= table("special_points", points, _over(along, SPECIAL))
-    if not parts:
-        gait = "gait"
-        if problem.steps > 1:
-            gait += f" of {problem.steps} steps"
-        tables |= nothing(over(gait, window, along))
-    return tables
+    tables = stacked("branches", parts, _over(problem, COLUMNS))
+    tables |= table("special_points", points, _over(problem, SPECIAL))
+    return tables if parts else tables | _none(problem, window)
 
 
-def _over(along: str, columns: Sequence[str]) -> tuple[str, ...]:
+def _none(problem: Problem, window: PerLane) -> Arrays:
+    """That there is no gait in a window."""
+    gait = "gait" if problem.steps == 1 else f"gait of {problem.steps} steps"
+    return nothing(over(gait, window, problem.drive.key))
+
+
+def _over(problem: Problem, columns: Sequence[str]) -> tuple[str, ...]:
     """Columns with what gaits are followed along in the place of the slope."""
+    along = problem.drive.key
     return tuple(along if column == "slope" else column for column in columns)
 
 
-def _columns(problem: Problem, Z: Coordinates) -> tuple[Any, ...]:
-    """Columns of the table `branches` after the first two, of points of a branch."""
+def _columns(problem: Problem, Z: Coordinates, unit: float) -> tuple[Any, ...]:
+    """Columns of the table `branches` after the first, of points of a branch; `unit` is
+    that of what drives.
+    """
     walker = problem.walker
     w = from_largest(Z[:-1], problem.m, problem.steps)
     stride, scale = problem.stride(w, Z[-1])
-    state = problem.start(stride.y * scale, np.exp(Z[-1]))
+    drive = np.exp(Z[-1])
+    state = problem.start(stride.y * scale, drive)
     rates = state[1:] / walker.time_unit
     jacobian = stride.jacobian
     magnitudes = np.abs(multipliers(jacobian, len(jacobian)))
@@ -118,6 +122,7 @@ def _columns(problem: Problem, Z: Coordinates) -> tuple[Any, ...]:
     times = w[problem.m :] * walker.time_unit
     kneestrike = times[0] if walker.knees else np.nan
     return (
+        unit * drive,
         np.exp(w[0]),
         *rates,
         times[-1],
@@ -243,7 +248,10 @@ def _walkers(problem: Problem, drive: PerLane) -> Iterator[tuple[Walker, slice]]
         return
     for k in range(0, len(drive), _AT_ONCE):
         lanes = slice(k, k + _AT_ONCE)
-        own = [problem.drive.at(problem.walker, x)[0] for x in drive[lanes].tolist()]
+        own = []
+        for value in drive[lanes].tolist():
+            walker, _ = problem.drive.at(problem.walker, value)
+            own.append(walker)
         yield WalkerArray.of(own), lanes
 
 

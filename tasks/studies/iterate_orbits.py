@@ -70,7 +70,9 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     infinities.
     """
     options = registry.options("orbit", params)
-    parts = [_orbits_of(each, options) for each in followed(params, inputs[0])]
+    parts = []
+    for points in followed(params, inputs[0]):
+        parts.append(_orbits_of(points, options))
     return joined(parts)
 
 
@@ -89,7 +91,8 @@ def _orbits_of(points: Followed, options: Mapping[str, Any]) -> Arrays:
     tables = _orbits(rows[:, :, walks], starts.some(walks), strides, walker.time_unit)
     tables |= _falls(walk, starts, ~walks, np.delete(slope, known))
     if not len(known):
-        tables |= nothing(over(f"{options['gait']} gait", points.asked, points.key))
+        gait = f"{options['gait']} gait"
+        tables |= nothing(over(gait, points.asked, points.key))
     tables |= _survival(starts.slope, walk.taken, ~walks)
     tables |= _exponents(means[:, :, walks], starts.slope[walks], strides)
     return points.named(tables)

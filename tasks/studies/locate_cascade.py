@@ -146,8 +146,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     options = registry.options("cascade", params)
     problem, unit = followed_over(params)
-    along = problem.drive.key
-    near = Problem(walker_of_line(params["near"])) if "near" in params else problem
+    near = _near(problem, params)
     slope = np.sort(np.asarray(params["slope"], float)) / unit
     if not len(slope):
         return {}
@@ -163,23 +162,33 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         for name, family in found.items():
             accumulations.append(_accumulation_row(name, family, unit))
         if not found:
-            why = _no_family(period, slope * unit, along)
+            why = _no_family(period, slope * unit, problem)
             missing.append(why)
             accumulations.append((f"{period}", 0, *_UNKNOWN, why))
 
     tables = _event_table(families, problem)
-    columns = [along if name == "slope" else name for name in _ACCUMULATION]
-    tables |= table("accumulation", accumulations, columns)
+    tables |= table("accumulation", accumulations, _over(problem, _ACCUMULATION))
     tables |= _lost_table(problem, families, slope, int(options["steps"]))
     if not families:
         tables |= nothing(" ".join(missing))
     return tables
 
 
-def _no_family(period: int, values: ndarray, along: str) -> str:
+def _near(problem: Problem, params: Mapping[str, Any]) -> Problem:
+    """The problem of the walker from whose gaits the first are sought."""
+    return Problem(walker_of_line(params["near"])) if "near" in params else problem
+
+
+def _over(problem: Problem, columns: Sequence[str]) -> list[str]:
+    """Columns with what gaits are followed along in the place of the slope."""
+    along = problem.drive.key
+    return [along if column == "slope" else column for column in columns]
+
+
+def _no_family(period: int, values: ndarray, problem: Problem) -> str:
     """Why there is no family of a period at values of what gaits are followed along."""
     gait = "long gait" if period == 1 else f"gait of period {period} was found"
-    return over(gait, values, along)
+    return over(gait, values, problem.drive.key)
 
 
 def _families(
@@ -205,9 +214,7 @@ def _event_table(families: dict[str, _Family], problem: Problem) -> Arrays:
     rows: list[tuple[Any, ...]] = []
     for name, family in families.items():
         rows += _event_rows(name, family)
-    along = problem.drive.key
-    columns = [along if column == "slope" else column for column in _CASCADE]
-    return table("cascade", rows, columns)
+    return table("cascade", rows, _over(problem, _CASCADE))
 
 
 def _event_rows(name: str, family: _Family) -> Iterator[tuple[Any, ...]]:

@@ -65,7 +65,10 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     and independent of the others.
     """
     options = registry.options("basin", params)
-    return joined([_basins(each, options) for each in followed(params, inputs[0])])
+    parts = []
+    for points in followed(params, inputs[0]):
+        parts.append(_basins(points, options))
+    return joined(parts)
 
 
 def _basins(points: Followed, options: Mapping[str, Any]) -> Arrays:

@@ -77,7 +77,8 @@ def test_a_fold_over_the_push_off_is_where_its_derivative_vanishes(tmp_path):
     assert fold["error_bound"] < 1e-12
 
     push = float(fold["push_off"])
-    at = step_map("E", -0.01, [float(fold[name]) for name in STATE], push_off=push)
+    state = [float(fold[name]) for name in STATE]
+    at = step_map("E", -0.01, state, push_off=push)
     assert min(abs(at.eigenvalues - 1)) < 1e-9
     assert len(solve("E", -0.01, push_off=push * (1 + 1e-6))) == 2
     assert len(solve("E", -0.01, push_off=push * (1 - 1e-6))) == 0
@@ -87,7 +88,10 @@ def test_short_steps_vanish_at_a_finite_push_off(branches):
     """Squares of the angles of gaits beside that impulse lead to it on a line."""
     (limit,) = points_of(branches, "B", "end_zero_step")["push_off"]
     beside = limit * (1 + np.array([1e-6, 2e-6]))
-    squares = [solve("B", 0.0, push_off=p)["stance_angle"].min() ** 2 for p in beside]
+    squares = []
+    for push in beside:
+        found = solve("B", 0.0, push_off=push)
+        squares.append(found["stance_angle"].min() ** 2)
     rate = (squares[1] - squares[0]) / (beside[1] - beside[0])
     assert beside[0] - squares[0] / rate == pytest.approx(limit, rel=1e-9)
     assert table_of(branches, "special_points")["kind"].eq("fold").sum() == 0

@@ -173,16 +173,23 @@ def lyapunov(source: Source, table: pd.DataFrame) -> Sketch | None:
         _draw_column(sketch, axes, source, frame, column, names, colours)
     sketch.line_keys(names, colours)
 
+    return sketch.finish(
+        chaos=_chaos(source, lines, names),
+        errors=_ERRORS,
+        abscissa=source.along,
+        **source.words_along,
+    )
+
+
+def _chaos(source: Source, lines: Sequence[Line], names: Sequence[str]) -> str:
+    """Where orbits of lines called so are chaotic, in words."""
     ranges = [chaotic(source, line) for line in lines]
     said = [
         found.words(name, source.words_along)
         for name, found in zip(names, ranges, strict=True)
         if found is not None
     ]
-    about = source.words_along
-    return sketch.finish(
-        chaos="; ".join(said), errors=_ERRORS, abscissa=source.along, **about
-    )
+    return "; ".join(said)
 
 
 def _draw_column(

@@ -103,13 +103,8 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
             landmarks.draw_at_angles(sketch, sketch.panels[0], source)
         )
 
-    data = sketch.data
-    # At a tangential strike the derivative of the step map has no bound.
-    if "spectral_radius" in data:
-        radius = data["spectral_radius"]
-        data["spectral_radius"] = radius.where(radius < _UNBOUNDED, np.inf)
     return sketch.finish(
-        data,
+        _bounded(sketch.data),
         numbered=bool(len(numbered)),
         enlarged=any(inset is not None for inset in enlarged),
         printed=printed,
@@ -121,6 +116,16 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
         abscissa=source.along,
         **source.words_along,
     )
+
+
+def _bounded(data: pd.DataFrame) -> pd.DataFrame:
+    """Points with infinite radii where the derivative of the step map has no bound, as
+    at a tangential strike.
+    """
+    if "spectral_radius" in data:
+        radius = data["spectral_radius"]
+        data["spectral_radius"] = radius.where(radius < _UNBOUNDED, np.inf)
+    return data
 
 
 def _data(source: Source, table: pd.DataFrame) -> _Branches:
@@ -194,6 +199,13 @@ def _draw_line(sketch: Sketch, source: Source, shown: _Branches, k: int) -> None
         computed = rows[~rows["border"].astype(bool)] if "border" in rows else rows
         sketch.pieces.append(computed.drop(columns="border", errors="ignore"))
 
+    _mark_gaits(sketch, axes, source, line)
+    measured.draw(sketch, axes, source, "stance_angle", line.at)
+    _draw_special(sketch, axes, source, line, shown.special[k])
+
+
+def _mark_gaits(sketch: Sketch, axes: Axes, source: Source, line: Line) -> None:
+    """Mark gaits of a line's branches, which tell their values and command."""
     rows = thin(line.rows.dropna(subset=["stance_angle"]), 300)
     if "stable" in rows:
         rows = rows.assign(stable=yes_or_no(rows["stable"]))
@@ -204,10 +216,8 @@ def _draw_line(sketch: Sketch, source: Source, shown: _Branches, k: int) -> None
         line.label or "branch",
         command=command,
         tips=_tips(source) | TIPS | {"stable": "stable"},
-        x=shown.along,
+        x=source.along,
     )
-    measured.draw(sketch, axes, source, "stance_angle", line.at)
-    _draw_special(sketch, axes, source, line, shown.special[k])
 
 
 def _tips(source: Source) -> dict[str, str]:
@@ -240,21 +250,25 @@ def _enlarge(sketch: Sketch, source: Source, shown: _Branches, k: int) -> Axes |
     if shown.together:
         members = list(range(len(shown.lines)))
     corner = _ALONE if shown.count == 1 else _AMONG
-    right = float(axes.get_xlim()[1])
-    along = shown.along
-    near = [_below(shown.special[i], corner.share * right, along) for i in members]
+    along, low = shown.along, corner.share * float(axes.get_xlim()[1])
+    near = [_below(shown.special[i], low, along) for i in members]
     runs = list(itertools.chain.from_iterable(shown.drawn[i] for i in members))
     if sum(map(len, near)) < _CROWD or _is_in_the_way(axes, runs, corner.box, along):
         return None
 
-    inset = axes.inset_axes(corner.box)
-    crowd = pd.concat(near)
-    inset.set(xlim=(0, corner.margin * crowd[along].max()))
-    inset.set(ylim=(0, 1.2 * crowd["stance_angle"].max()))
+    inset = _inset(axes, corner, pd.concat(near), along)
     for i, points in zip(members, near, strict=True):
         _draw_runs(inset, shown.drawn[i], shown.inks[i], along)
         _draw_special(sketch, inset, source, shown.lines[i], points)
     _frame_inset(axes, inset)
+    return inset
+
+
+def _inset(axes: Axes, corner: _Corner, crowd: pd.DataFrame, along: str) -> Axes:
+    """An empty panel in a panel that holds some special points."""
+    inset = axes.inset_axes(corner.box)
+    inset.set(xlim=(0, corner.margin * crowd[along].max()))
+    inset.set(ylim=(0, 1.2 * crowd["stance_angle"].max()))
     return inset
 
 

@@ -144,8 +144,8 @@ class Sketch:
         words, and write the titles of its axes.
 
         Unless others are given, `count` is the number of its rows, `low` and `high` are
-        the ends of their slopes, or of their `abscissa`. Where not `every` line
-        is `drawn`, some are `omitted`.
+        the ends of their slopes, or of their `abscissa`. Where not `every` line is
+        `drawn`, some are `omitted`.
         """
         if self.last_key:
             self.dot_key(**self.last_key)

@@ -36,42 +36,67 @@ def sought(source: Source) -> Sketch | None:
     asked = _asked(source)
     if asked is None:
         return None
+    sketch, shown = _panels(source, asked)
     lines = list(itertools.islice(_lines(source, asked), MOST_COLOURS))
-    names = [name for name, _ in lines]
+    names = [name for name, _ in lines] if len(lines) > 1 else []
     colours = inks([""] * len(lines))
-    shown = [asked.varied]
-    if _COST in source.grid:
-        shown.append(_COST)
-    sketch = Sketch("sought", 330 * len(shown), len(shown), sharex=True)
 
-    said = []
-    for number, ((name, rows), ink) in enumerate(zip(lines, colours, strict=True)):
+    for number, (name, rows) in enumerate(lines):
         for gait, curve in rows.groupby("gait", sort=False):
+            label = " · ".join(filter(None, (f"{gait} step", name)))
             known = curve[curve[asked.varied].notna()].reset_index(drop=True)
-            if known.empty:
-                continue
-            label = f"{gait} step" + (f" · {name}" if name else "")
-            _draw(sketch, asked, shown, known, label, ink, number)
-            said.append(_law(known, asked, f" ({label})" if len(rows) else ""))
+            if len(known):
+                known = known.assign(line=label)
+                _draw(sketch, asked, shown, known, colours[number], number)
     if not sketch.pieces:
         return None
 
     sketch.gait_keys()
-    for axes, name in zip(sketch.panels, shown, strict=True):
-        is_positive = (sketch.data[[asked.measure, name]] > 0).all()
-        sides = zip("xy", is_positive.tolist(), strict=True)
-        set_log(axes, "".join(side for side, positive in sides if positive))
+    _set_scales(sketch, asked, shown)
     return sketch.finish(
-        lines=names if len(names) > 1 else (),
-        inks=colours if len(names) > 1 else (),
-        measure=spaced(asked.measure),
-        varied=spaced(asked.varied),
-        x=titled(asked.measure, source.units(asked.measure)),
-        first=titled(asked.varied, source.units(asked.varied)),
-        laws=" ".join(filter(None, said)),
+        lines=names,
+        inks=colours[: len(names)],
+        laws=" ".join(_laws(sketch.pieces, asked)),
         drawn=len(lines),
         every=_count(source, asked),
+        **_titles(source, asked),
     )
+
+
+def _panels(source: Source, asked: _Sought) -> tuple[Sketch, list[str]]:
+    """Empty panels, and what is drawn in each."""
+    shown = [asked.varied]
+    if _COST in source.grid:
+        shown.append(_COST)
+    height = 330 * len(shown)
+    return Sketch("sought", height, len(shown), sharex=True), shown
+
+
+def _set_scales(sketch: Sketch, asked: _Sought, shown: list[str]) -> None:
+    """Make axes logarithmic along which all values are positive."""
+    data = sketch.data
+    for axes, name in zip(sketch.panels, shown, strict=True):
+        columns = {"x": asked.measure, "y": name}
+        sides = [side for side, own in columns.items() if (data[own] > 0).all()]
+        set_log(axes, "".join(sides))
+
+
+def _titles(source: Source, asked: _Sought) -> dict[str, str]:
+    """Names and titles of what is sought and of what is varied."""
+    measure, varied = asked
+    return {
+        "measure": spaced(measure),
+        "varied": spaced(varied),
+        "x": titled(measure, source.units(measure)),
+        "first": titled(varied, source.units(varied)),
+    }
+
+
+def _laws(curves: list[pd.DataFrame], asked: _Sought) -> Iterator[str]:
+    """Yield how what is varied goes with the measure along each curve."""
+    for curve in curves:
+        if len(curve) > 1:
+            yield _law(curve, asked)
 
 
 def _asked(source: Source) -> _Sought | None:
@@ -97,19 +122,15 @@ def _lines(source: Source, asked: _Sought) -> Iterator[tuple[str, pd.DataFrame]]
     """
     grid, others = source.grid, [a for a in source.axes if a != asked.measure]
     columns = [asked.varied, *(name for name in _SHOWN if name in grid)]
-    columns += ["spectral_radius"] * ("spectral_radius" in grid)
     for place in itertools.product(*(range(grid.sizes[axis]) for axis in others)):
         at = dict(zip(others, place, strict=True))
         values: dict[str, Any] = {axis: grid[axis].values[i] for axis, i in at.items()}
         differ = {axis: v for axis, v in values.items() if grid.sizes[axis] > 1}
-        rows = grid.isel(at)[columns].to_dataframe().reset_index()
-        rows = rows[[asked.measure, "gait", *columns]].sort_values(asked.measure)
-        if "spectral_radius" in rows:
-            rows["stable"] = np.where(rows["spectral_radius"] < 1, 1.0, 0.0)
-        rows["command"] = [
-            _command(source, values, asked, value)
-            for value in rows[asked.measure].tolist()
-        ]
+        here = grid.isel(at)[columns]
+        rows = here.to_dataframe().reset_index().sort_values(asked.measure)
+        rows = rows[[asked.measure, "gait", *columns]]
+        sought_at = rows[asked.measure].tolist()
+        rows["command"] = [_command(source, values, asked, x) for x in sought_at]
         yield axis_values(differ), rows
 
 
@@ -118,35 +139,38 @@ def _draw(
     asked: _Sought,
     shown: list[str],
     curve: pd.DataFrame,
-    label: str,
     ink: str,
     number: int,
 ) -> None:
     """Draw a curve in each panel, with marks that tell their values and command."""
-    tips = {name: symbol(name) for name in (asked.measure, asked.varied)} | _SHOWN
+    measure, varied = asked
+    tips = {measure: symbol(measure), varied: symbol(varied)} | _SHOWN
+    gait, label = (str(curve[name].iloc[0]) for name in ("gait", "line"))
     for axes, name in zip(sketch.panels, shown, strict=True):
-        gait = str(curve["gait"].iloc[0])
-        draw_gait(axes, curve, gait, ink, number, asked.measure, name)
-        axes.plot(curve[asked.measure], curve[name], "o", color=ink, ms=3.5)
-        sketch.mark(
-            axes, curve, label, tips=tips, x=asked.measure, y=name, group=number
-        )
-    sketch.pieces.append(curve.assign(line=label))
+        draw_gait(axes, curve, gait, ink, number, measure, name)
+        axes.plot(curve[measure], curve[name], "o", color=ink, ms=3.5)
+        sketch.mark(axes, curve, label, tips=tips, x=measure, y=name, group=number)
+    sketch.pieces.append(curve)
 
 
-def _law(curve: pd.DataFrame, asked: _Sought, where: str) -> str:
+def _law(curve: pd.DataFrame, asked: _Sought) -> str:
     """How what is varied goes with the measure, in a sentence: its exponents between the
-    first two and the last two values, where all are positive.
+    first two and the last two values, where there are three and all are positive.
     """
     x, y = (curve[name].to_numpy(float) for name in (asked.measure, asked.varied))
-    ends = f"from {plain(y[0])} at {plain(x[0])} to {plain(y[-1])} at {plain(x[-1])}"
-    text = f"{spaced(asked.varied).capitalize()} goes {ends}{where}"
-    if len(x) < 3 or not ((x > 0) & (y > 0)).all():
-        return f"{text}." if len(x) > 1 else ""
+    low, high = (f"{plain(y[k])} at {plain(x[k])}" for k in (0, -1))
+    where = f"({curve['line'].iloc[0]})"
+    text = f"{spaced(asked.varied).capitalize()} goes from {low} to {high} {where}"
+
+    is_power = len(x) > 2 and (x > 0).all() and (y > 0).all()
+    if not is_power:
+        return f"{text}."
     powers = np.diff(np.log(y)) / np.diff(np.log(x))
-    first, last = plain(float(powers[0]), 3), plain(float(powers[-1]), 3)
-    between = f"the power {first}" if first == last else f"powers {first} to {last}"
-    return f"{text}, as {between} of the {spaced(asked.measure)}."
+    ends = [plain(float(power), 3) for power in powers[[0, -1]]]
+    power = f"the power {ends[0]}"
+    if ends[0] != ends[1]:
+        power = f"powers {ends[0]} to {ends[1]}"
+    return f"{text}, as {power} of the {spaced(asked.measure)}."
 
 
 def _command(
