@@ -97,6 +97,17 @@ def test_short_steps_vanish_at_a_finite_push_off(branches):
     assert table_of(branches, "special_points")["kind"].eq("fold").sum() == 0
 
 
+@pytest.mark.parametrize("walker", ["B", "D"])
+def test_branches_cross_within_the_bounds_of_both(branches, walker):
+    """The long and the short gait of level ground become one: each branch has its own
+    equations there, which are singular.
+    """
+    points = points_of(branches, walker, "branch_point")
+    first, second = points.itertuples()
+    allowed = first.push_off * (first.error_bound + second.error_bound)
+    assert abs(first.push_off - second.push_off) < allowed < 1e-6
+
+
 def test_contact_is_lost_where_the_least_force_vanishes(branches):
     for lost in points_of(branches, "D", "end_contact_lost").itertuples():
         found = solve("D", 0.0, push_off=lost.push_off)
