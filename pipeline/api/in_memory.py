@@ -221,7 +221,7 @@ def _checked(
         except StudyError as error:
             unsolvable.append((every[is_slope[every]], error))
         else:
-            can_be = is_slope | is_level & ("drive" in check["features"])
+            can_be = is_slope | is_level & check["driven"]
             lines.append(_Line(base, line, every[can_be[every]], slope, check))
     return lines, unsolvable
 
@@ -257,7 +257,7 @@ def _check(base: Study, line: dict[str, Any], slope: np.ndarray) -> dict[str, An
     name = "check_target" if base.at else "check_walker"
     asked = {**line, **base.at, "values": slope}
     check: dict[str, Any] = dispatch.ask(name, asked)
-    if slopes.is_level(line.get("slope", 1.0)) and "drive" not in check["features"]:
+    if slopes.is_level(line.get("slope", 1.0)) and not check["driven"]:
         raise slopes.undriven(line["slope"])
     return check
 
@@ -682,7 +682,7 @@ def _dataset(
     coords: dict[Any, Any] = {**grid.coords}
     coords |= _inner_coordinates(points)
     if "key" in coords:
-        variables["key_units"] = _key_units(study)
+        variables["key_units"] = _key_units(study, coords["key"][1])
     return xr.Dataset(
         variables,
         {**coords, **keys.coordinates},
@@ -701,14 +701,14 @@ def _inner_coordinates(points: Points) -> dict[str, Any]:
     if multipliers:
         numbers = np.arange(multipliers[0], dtype=np.int32)
         coordinates["multiplier"] = "multiplier", numbers, attributes.MULTIPLIER
-    if any("key" in VARIABLES[name].dims for name in points.values):
-        keys = np.array(attributes.differentiated())
+    by_key = [a for name, a in points.values.items() if "key" in VARIABLES[name].dims]
+    if by_key:
+        keys = np.array(attributes.differentiated(by_key[0].shape[-1]))
         coordinates["key"] = "key", keys, attributes.KEY, _CHARACTERS
     return coordinates
 
 
-def _key_units(study: Study) -> Any:
+def _key_units(study: Study, keys: np.ndarray) -> Any:
     """Units of the keys by which measures are differentiated."""
-    keys = attributes.differentiated()
     of_keys = np.array([units.axis_units(key, study.checks) for key in keys])
     return "key", of_keys, attributes.KEY_UNITS, _CHARACTERS

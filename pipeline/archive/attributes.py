@@ -75,10 +75,10 @@ def of_axis(name: str, checks: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     return about
 
 
-def differentiated() -> tuple[str, ...]:
-    """The slope and the keys by which measures are differentiated, in order."""
+def differentiated(count: int) -> tuple[str, ...]:
+    """The slope and the keys by which measures are differentiated, so many, in order."""
     names: tuple[str, ...] = resolve("gaitsweep.tasks.walkers.walker:DIFFERENTIATED")
-    return names
+    return names[:count]
 
 
 def of_dataset(study: Study) -> dict[str, Any]:
@@ -90,6 +90,7 @@ def of_dataset(study: Study) -> dict[str, Any]:
         "references": PAPER,
     }
     about |= {"accuracy": study.accuracy} if study.accuracy else {}
+    about |= {"along": study.drive} if study.drive else {}
     meaning = (
         f"gaits that repeat after {study.steps} steps: the state is that with the largest stance angle, period and "
         f"losses are of all {study.steps} steps, a violation is the worst of them"

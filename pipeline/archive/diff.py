@@ -15,10 +15,13 @@ from gaitsweep.pipeline.archive.unfold import dataset
 from gaitsweep.pipeline.errors import ArchiveError
 from gaitsweep.pipeline.statuses import STATUS_NAMES
 from gaitsweep.pipeline.terminal import counted
+from gaitsweep.tasks.contract.registry import DRIVES
 
 #: Variables that measure relative rounding: a tolerance applies to their absolute
 #: difference.
 _ROUNDING = ("residual", "error_bound", "energy_imbalance")
+#: Coordinates of groups along which the points of a line lie.
+_ALONG = ("slope", *DRIVES)
 #: Parts of an eigenvalue, which are compared with its magnitude.
 _PARTS = ("multiplier_real", "multiplier_imag")
 _Pair = tuple[xr.Dataset, xr.Dataset]
@@ -207,7 +210,7 @@ class _Comparison:
     ) -> Iterator[str]:
         """Values of coordinates that only one of two groups has."""
         for name in sorted(set(x.indexes) & set(y.indexes)):
-            if prefix and name != "slope":
+            if prefix and name not in _ALONG:
                 continue  # said of the main groups
             for one, other, path in ((x, y, self.paths[0]), (y, x, self.paths[1])):
                 missing = len(one.indexes[name].difference(other.indexes[name]))
@@ -279,11 +282,11 @@ def _parameters(file: Any) -> dict[str, np.ndarray]:
 
 
 def _opened(group: Any, grid: xr.Dataset) -> xr.Dataset:
-    """A group with the coordinates of the lines; its own, but for slopes, are results,
-    and compared as such.
+    """A group with the coordinates of the lines; its own, but for slopes and values of
+    what else drives, are results, and compared as such.
     """
     opened = _raw(group)
-    results = [name for name in opened.indexes if name != "slope"]
+    results = [name for name in opened.indexes if name not in _ALONG]
     opened = opened.drop_indexes(results).reset_coords(results)
     of_lines = [dim for dim in opened.dims if dim in grid.indexes and dim not in opened]
     return opened.assign_coords({dim: grid[dim] for dim in of_lines})
@@ -318,34 +321,37 @@ def _matching_rows(
     y: xr.Dataset,
     grids: _Pair,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of two tables on the lines that both archives have, in one order; by slope
-    where both have the same ones.
+    """Rows of two tables on the lines that both archives have, in one order; by slope,
+    or what else drives, where both have the same values.
     """
     indexes, others = (grid.indexes for grid in grids)
     # A column `slope` may be a result, as along a branch or at a fold.
-    names = (set(indexes) & set(others)) - {"slope", "gait"}
+    along = str(grids[0].attrs.get("along", "slope"))
+    names = (set(indexes) & set(others)) - {along, "gait"}
     shared = {name: indexes[name].intersection(others[name]) for name in names}
     rows = _rows(x, shared), _rows(y, shared)
-    if not all("row" in table.sizes and "slope" in table for table in (x, y)):
+    if not all("row" in table.sizes and along in table for table in (x, y)):
         return rows
 
     p, q = (
-        np.unique(table["slope"].values[kept])
+        np.unique(table[along].values[kept])
         for table, kept in zip((x, y), rows, strict=True)
     )
     if not np.array_equal(p, q):
         return rows
-    return _rows(x, shared, by_slope=True), _rows(y, shared, by_slope=True)
+    return _rows(x, shared, along), _rows(y, shared, along)
 
 
 def _rows(
     table: xr.Dataset,
     shared: Mapping[Any, pd.Index],
-    by_slope: bool = False,
+    along: str = "",
 ) -> np.ndarray:
-    """Rows of a table whose line has `shared` coordinates, line by line."""
+    """Rows of a table whose line has `shared` coordinates, line by line, and perhaps by
+    what they lie along.
+    """
     names = sorted(set(shared) & set(table.data_vars), reverse=True)
-    order = [*names, "slope"] if by_slope else names
+    order = [*names, along] if along else names
     columns = {name: table[name].values for name in order}
     rows = pd.DataFrame(columns, np.arange(table.sizes.get("row", 0)))
     for name in names:

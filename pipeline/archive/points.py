@@ -128,7 +128,9 @@ class PointWriter:
         return self._unfinished(chunk.shape, atlas.status, of_atlas(atlas.reason))
 
     def _pack_ending(self, shape: Shape, ending: str, reason: str) -> Record:
-        codec = ChunkCodec(shape, self.grid.multipliers, self.study.gaits)
+        codec = ChunkCodec(
+            shape, self.grid.multipliers, self.study.gaits, keys=self.grid.keys
+        )
         variables = self.plan.graph.variables
         return codec.encode(
             Points.of_ending(math.prod(shape.sizes), ending, reason, variables)
@@ -159,15 +161,19 @@ class PointWriter:
                 **_quantization(description, self.study.accuracy),
                 # For one gait: which trailing gaits are absent is known only once all
                 # points are.
-                chunksizes=(*self.chunk, 1, *inner_sizes(name, multipliers)),
+                chunksizes=(*self.chunk, 1, *self._inner(name)),
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
             self.dtypes[name] = variable.dtype
             attributes.put(variable, attributes.of_variable(description, self.study))
 
+    def _inner(self, name: str) -> tuple[int, ...]:
+        """Sizes of the dimensions of a variable after the gait."""
+        return inner_sizes(name, self.grid.multipliers, self.grid.keys)
+
     def _define_keys(self, file: Any) -> None:
         """Write the keys by which measures are differentiated, with their units."""
-        keys = attributes.differentiated()
+        keys = attributes.differentiated(self.grid.keys)
         file.createDimension("key", len(keys))
         write_strings(file, "key", "key", keys, attributes.KEY)
         of_keys = [units.axis_units(key, self.study.checks) for key in keys]
@@ -183,7 +189,7 @@ class PointWriter:
                     head, payload = Head.parse(record.head), memoryview(record.payload)
                     pieces = self._pieces(chunk.shape, head, payload)
                 for (name, g), piece in pieces.items():
-                    corner = (*start, g, *(0 for _ in inner_sizes(name, 0)))
+                    corner = (*start, g, *(0 for _ in inner_sizes(name, 0, 0)))
                     archived = self.study.archived(name)
                     write(archived, corner, piece.data)
                     self.sums[archived] += layout.chunk_checksum(piece.checksum, corner)
@@ -216,7 +222,7 @@ class PointWriter:
 
     def _pack_same(self, name: str, sizes: tuple[int, ...]) -> Packed:
         """Piece of a chunk that holds no gait."""
-        more = inner_sizes(name, self.grid.multipliers)
+        more = self._inner(name)
         return pack_values(
             np.full((*sizes, *more), VARIABLES[name].absent, self.dtypes[name]),
             (*self.chunk, *more),

@@ -19,12 +19,12 @@ from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.columns import table_columns
 
 Columns = dict[str, np.ndarray]
-#: Dimensions of each array after those of the lines, by the columns that hold their
-#: coordinates.
+#: Dimensions of each array after those of the lines and of the points along them, by
+#: the columns that hold their coordinates.
 _LAYOUTS = {
-    "basin": ("slope", "stance_angle", "stance_rate"),
-    "stable_manifold": ("slope", "point"),
-    "orbits": ("slope", "start", "stride"),
+    "basin": ("stance_angle", "stance_rate"),
+    "stable_manifold": ("point",),
+    "orbits": ("start", "stride"),
 }
 #: Names of dimensions that differ from the columns'.
 _RENAMED = {"stride": "step"}
@@ -46,7 +46,8 @@ def write(file: Any, plan: Plan) -> None:
     if failures:
         columns = zip(*failures, strict=True)
         names = ("task", "outcome", "reason")
-        tables = dict(zip(names, map(np.array, columns), strict=True))
+        arrays = map(np.array, columns)
+        tables = dict(zip(names, arrays, strict=True))
         _group(file, plan, "failed_tasks", tables)
     if plan.study.overlay:
         _group(file, plan, "overlay", dict(plan.study.overlay))
@@ -110,10 +111,11 @@ def _task_runs(
         return
     for i in range(plan.study.batches):
         numbers = plan.study.batch(i)
-        coordinates = {
-            "walker": plan.study.name_of(int(numbers[0])),
-            **plan.study.batch_line(i)["set"],
-        }
+        line = plan.study.batch_line(i)
+        coordinates = {"walker": plan.study.name_of(int(numbers[0]))}
+        coordinates |= line["set"]
+        if "slope" in line:
+            coordinates["slope"] = line["slope"]
         yield coordinates, plan.graph.line_keys(i)[name], numbers
 
 
@@ -181,7 +183,8 @@ def _stack(parts: Sequence[Columns]) -> Columns:
 
 
 def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
-    if set(_LAYOUTS.get(group, ("",))) <= set(columns):
+    inner = _LAYOUTS.get(group)
+    if inner and {plan.study.along, *inner} <= set(columns):
         _Arrays(file, plan, group, columns).write()
         return
     netcdf_group = file.createGroup(group)
@@ -199,8 +202,8 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
 
 
 class _Arrays:
-    """Writes the rows of a table as arrays over the lines' axes and slope, which are
-    its cases, and then over the table's own dimensions.
+    """Writes the rows of a table as arrays over the lines' axes and the axis along
+    them, which are its cases, and then over the table's own dimensions.
 
     A coordinate that differs from case to case, as the ranges of basins do by default,
     is an array over the cases and its own index.
@@ -211,17 +214,17 @@ class _Arrays:
         self.group = group
         self.columns = columns
         self.netcdf_group = file.createGroup(group)
-        self.dims = [*plan.graph.grid.line_dims, "slope"]
+        self.dims = [*plan.graph.grid.line_dims, plan.study.along]
         self.sizes, self.case = _cases(plan, self.dims, columns)
         #: Of the table's own coordinates the place of each row, and their number.
         self.inner: dict[str, tuple[np.ndarray, int]] = {}
 
     def write(self) -> None:
         """Write coordinates, then all other columns."""
-        slope = self.plan.study.slope
-        self.netcdf_group.createDimension("slope", len(slope))
-        self._variable("slope", ("slope",), slope, self._described("slope"))
-        for name in _LAYOUTS[self.group][1:]:
+        along, values = self.plan.study.along, self.plan.study.slope
+        self.netcdf_group.createDimension(along, len(values))
+        self._variable(along, (along,), values, self._described(along))
+        for name in _LAYOUTS[self.group]:
             self._write_coordinate(name)
 
         for name, values in self.columns.items():
@@ -264,8 +267,9 @@ class _Arrays:
         counts = [self.inner[each][1] for each in along]
         array = np.full((math.prod(self.sizes), *counts), absent, dtype)
         array[(self.case, *places)] = values
-        dims = (*self.dims, *(_RENAMED.get(each, each) for each in along))
-        self._variable(name, dims, array.reshape(*self.sizes, *counts), described)
+        inner = [_RENAMED.get(each, each) for each in along]
+        shaped = array.reshape(*self.sizes, *counts)
+        self._variable(name, (*self.dims, *inner), shaped, described)
 
     def _described(self, name: str) -> dict[str, str]:
         return _attributes(self.plan, self.group, name)
@@ -322,7 +326,8 @@ def _positions(case: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
     if values.dtype.kind != "f" or len(of_each) == len(cases) * len(every):
         return place, every
     first = np.searchsorted(of_each, np.arange(len(cases)) * len(every))
-    return at - first[number], every[of_each % len(every)].reshape(len(cases), -1)
+    own = every[of_each % len(every)]
+    return at - first[number], own.reshape(len(cases), -1)
 
 
 def meaning_of(name: str, group: str = "") -> tuple[str, str]:
@@ -344,6 +349,15 @@ def meaning_of(name: str, group: str = "") -> tuple[str, str]:
     return kind, meaning or own
 
 
+def _of_drive(drive: str, kind: str, meaning: str) -> tuple[str, str]:
+    """Kind and meaning of a column of slopes, or of their errors, where what else drives
+    stands in the place of the slope.
+    """
+    if kind == "angle":
+        kind = units.kinds()[drive]
+    return kind, meaning.replace("slope", drive)
+
+
 def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     """Attributes of a column."""
     if group == "overlay" and name.endswith("_error"):
@@ -360,6 +374,8 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     kind, meaning = meaning_of(name, group)
     if name == "detuning":
         meaning = of_axis(name, study.checks)["long_name"]
+    if study.drive and name != "slope" and "slope" in meaning:
+        kind, meaning = _of_drive(study.drive, kind, meaning)
     attributes = units.described(over_steps(meaning, study.steps), kind, study.checks)
     if study.kind == "curve" and group in ("curves", "turnings"):
         options = registry.options("curve", study.options)

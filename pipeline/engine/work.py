@@ -174,6 +174,7 @@ class Work:
                 graph.grid.multipliers,
                 self.plan.study.gaits,
                 is_archived=not graph.in_memory,
+                keys=graph.grid.keys,
             )
             tasks = (graph.layers[name].task for name in ("atlas", "points"))
             atlas, points = (task.function for task in tasks)

@@ -146,7 +146,7 @@ class Graph:
         else:
             own = self.line_keys(int(chunk.numbers[0]))["points"]
         slopes = self._slopes_digest(chunk.slopes.start, chunk.slopes.stop)
-        packed = f"{chunk.shape.order} {self.grid.multipliers}"
+        packed = f"{chunk.shape.order} {self.grid.multipliers} {self.grid.keys}"
         return f"points-{digest(f'{own} {slopes} {packed}'.encode())}"
 
     def _key_of_lines(self, chunk: Chunk) -> str:

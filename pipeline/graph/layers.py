@@ -130,9 +130,11 @@ def line_params(
         named = isinstance(line["walker"], str) and not line["set"]
         slopes = np.array(LOSS_WINDOWS.get(line["walker"], ()) if named else (), float)
         return {"line": line, "slope": slopes, "gaits": GAITS}
+    along = {"along": study.drive} if study.drive else {}
     if name == "branch":
-        return {"line": line, **_window(study), "n": len(study.slope), **study.options}
-    params = {"line": line, "slope": study.slope, "gaits": study.gaits}
+        window = {**_window(study), "n": len(study.slope)}
+        return {"line": line, **along, **window, **study.options}
+    params = {"line": line, **along, "slope": study.slope, "gaits": study.gaits}
     if name != "trace":  # `steps` may be those of orbits
         params |= study.options
     if name == "design" and study.plane:
@@ -144,6 +146,9 @@ def _atlas_params(
     study: Study, method: Method, line: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Parameters of the atlas of a line."""
+    if study.drive:
+        steps = {"steps": study.steps} if study.steps > 1 else {}
+        return {"line": line, "along": study.drive, **steps}
     params: dict[str, Any] = {
         "line": line if "drive" in study.features else _without_g(line),
         "coarse": method.is_coarse,

@@ -140,6 +140,11 @@ class Grid:
         All dimensions but that along lines.
     extent : tuple of int
         Shape of a chunk.
+    multipliers : int
+        Most of any walker.
+    keys : int
+        By how many of the slope and keys measures are differentiated, those of what
+        drives last.
     """
 
     def __init__(self, study: Study, in_memory: bool = False):
@@ -155,6 +160,7 @@ class Grid:
 
         multipliers = [check["multipliers"] for check in study.checks]
         self.multipliers = max(multipliers, default=3)
+        self.keys = max((check["keys"] for check in study.checks), default=0)
         self.extent: tuple[int, ...] = ()
         if self.method is not Method.TASK:
             extent = self._extent(in_memory)

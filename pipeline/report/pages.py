@@ -46,10 +46,10 @@ _MODULES = (
 #: Names of pages that belong to no study.
 _RESERVED = ("index", "ledger", "bundle")
 
-#: Units of columns of figures that are no variables of a grid.
-_UNITS = dict.fromkeys(
-    ("slope", "stance_angle", "angle", "flip", "next flip", "distance"), "rad"
-)
+#: Columns of figures that are no variables of a grid, which have the unit of what gaits
+#: are followed along; and units of others.
+_ALONG = ("flip", "next flip", "distance")
+_UNITS = dict.fromkeys(("slope", "stance_angle", "angle", *_ALONG), "rad")
 
 #: Entries of the run's record that a page shows; the record also names the computer,
 #: which a page does not.
@@ -303,6 +303,8 @@ def _data_files(
         str(name): str(column.attrs.get("units", "1"))
         for name, column in source.grid.variables.items()
     }
+    if source.along != "slope":
+        units |= dict.fromkeys(_ALONG, source.units(source.along))
     short = {
         name: frame
         for name, frame in frames.items()

@@ -20,7 +20,7 @@ from gaitsweep.pipeline.archive import layout
 from gaitsweep.pipeline.archive import read as archives
 from gaitsweep.pipeline.archive.unfold import dataset, table
 from gaitsweep.pipeline.companions import Companions
-from gaitsweep.pipeline.report.words import axis_values, print_units
+from gaitsweep.pipeline.report.words import axis_values, print_units, spaced, titled
 from gaitsweep.pipeline.study import toml
 from gaitsweep.pipeline.study.ways import ends
 
@@ -56,8 +56,8 @@ def rows_at(
 
 @dataclass(frozen=True)
 class Line:
-    """One walker with every axis but `slope` fixed, and what the archive holds along
-    it.
+    """One walker with every axis fixed but that along which gaits are followed, and what
+    the archive holds along it.
 
     `at` is its place: `walker`, by name, then the values of the axes; `command` solves
     it, without the slope. `rows` are its rows of a table; of a line of the grid, which
@@ -368,11 +368,50 @@ class Source:
         units = (
             str(self.grid[variable].attrs.get("units", ""))
             if variable in self.grid.variables
+            else self._units_of_tables.get(variable, "")
+            if variable == self.along
             else ""
         )
         return print_units(
             units or ("rad" if variable in ("slope", "stance_angle") else "")
         )
+
+    @cached_property
+    def _units_of_tables(self) -> dict[str, str]:
+        """Units of the columns of tables, by the names of these."""
+        found: dict[str, str] = {}
+        for frame in self.tables.values():
+            found |= frame.attrs.get("units", {})
+        return found
+
+    @property
+    def along(self) -> str:
+        """What gaits are followed along: the slope, or what drives at one."""
+        return str(self.grid.attrs.get("along", "slope"))
+
+    @property
+    def words_along(self) -> dict[str, str]:
+        """What gaits are followed along in the words of a figure: the title `x` of an
+        axis, `axis`, `values` of it, and its `unit`.
+        """
+        name, unit = self.along, self.units(self.along)
+        words = "slope" if name == "slope" else spaced(name)
+        return {
+            "x": titled(name, unit, words),
+            "axis": words,
+            "values": "slopes" if name == "slope" else words,
+            "unit": f" {unit}" if unit else "",
+        }
+
+    def solving(self, line: Line, rows: pd.DataFrame) -> tuple[pd.DataFrame, str]:
+        """Rows of a line and the command that solves them, without the slope; rows whose
+        walkers differ have each its own, and there is none for all.
+        """
+        if self.along == "slope":
+            return rows, line.command
+        slope = f"--slope {float(line.at['slope'])!r}"
+        sets = [f"--set {self.along}={value!r}" for value in rows[self.along].tolist()]
+        return rows.assign(command=[f"{line.command} {s} {slope}" for s in sets]), ""
 
     def command(self, at: Mapping[str, Any]) -> str:
         """The `gaitsweep solve` command of a line, without the slope."""
@@ -446,12 +485,12 @@ class Source:
         has_gaits = "slope" in self.grid.dims and "gait" in self.grid.dims
         return (
             list(self._lines())
-            if has_gaits or self.table("branches", "branch", "slope") is not None
+            if has_gaits or self.table("branches", "branch", self.along) is not None
             else []
         )
 
     def _lines(self) -> Iterator[Line]:
-        across = [d for d in self.axes if d != "slope"]
+        across = [d for d in self.axes if d != self.along]
         walkers, followed = (
             list(self.walkers),
             self.tables.get("branches", pd.DataFrame()),
@@ -532,7 +571,7 @@ class Source:
 
     def line_columns(self, table: pd.DataFrame) -> list[str]:
         """Columns of a table that identify the line of a row."""
-        names = {"walker", *(self.given("axes") or ()), *self.axes} - {"slope"}
+        names = {"walker", *(self.given("axes") or ()), *self.axes} - {self.along}
         return [c for c in table.columns if c in names]
 
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from gaitsweep.pipeline import dispatch, serialize
+from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.outcomes import count_rows
 from gaitsweep.pipeline.statuses import ANSWERS, ENDINGS, OF_GAITS
@@ -114,7 +114,7 @@ class Points:
         """Points whose worker ended so, a name of `statuses.ENDINGS`."""
         values = {}
         for name in want:
-            inner = [0 for _ in inner_sizes(name, 0)]
+            inner = [0 for _ in inner_sizes(name, 0, 0)]
             values[name] = np.empty((points, 0, *inner), _dtype_of(name))
 
         number = sentence_number(reason)
@@ -182,12 +182,15 @@ class ChunkCodec:
         Labels that were solved.
     is_archived : bool
         Whether values are packed as an archive holds them; else they are as they are.
+    keys : int
+        By how many of the slope and keys of walkers measures are differentiated.
     """
 
     shape: Shape
     multipliers: int
     gaits: Sequence[str]
     is_archived: bool = True
+    keys: int = 0
 
     def encode(self, points: Points) -> Record:
         """Pack points, without the last gaits that none of them has.
@@ -208,6 +211,7 @@ class ChunkCodec:
         head = {
             "shape": dataclasses.astuple(self.shape),
             "multipliers": self.multipliers,
+            "keys": self.keys,
             "gaits": list(self.gaits),
             "is_archived": self.is_archived,
             "names": list(columns),
@@ -223,7 +227,9 @@ class ChunkCodec:
         """Pack a variable, gait by gait."""
         if has_multipliers(name):
             array = _widened(name, array, (array.shape[1], self.multipliers))
-        extent = _extent(name, self.shape, self.multipliers)
+        if "key" in VARIABLES[name].dims:
+            array = array[..., : self.keys]
+        extent = _extent(name, self.shape, self.multipliers, self.keys)
         if not self.is_archived:
             return [Packed(array[:, gait].tobytes(), 0) for gait in range(columns)]
         values = (self.shape.unfold(array[:, gait]) for gait in range(columns))
@@ -247,21 +253,16 @@ def _counted(points: Points) -> dict[str, ndarray]:
     }
 
 
-def _extent(name: str, shape: Shape, multipliers: int) -> tuple[int, ...]:
-    return (*shape.extent, *inner_sizes(name, multipliers))
+def _extent(name: str, shape: Shape, multipliers: int, keys: int) -> tuple[int, ...]:
+    return (*shape.extent, *inner_sizes(name, multipliers, keys))
 
 
-def inner_sizes(name: str, multipliers: int) -> tuple[int, ...]:
+def inner_sizes(name: str, multipliers: int, keys: int) -> tuple[int, ...]:
     """Sizes of the dimensions of a variable after the gait, of walkers with so many
-    multipliers: that of the keys by which measures are differentiated is always the
-    same.
+    multipliers, differentiated by so many keys.
     """
-    inner = VARIABLES[name].dims[1:]
-    if not inner:
-        return ()
-    keys = dispatch.resolve("gaitsweep.tasks.walkers.walker:DIFFERENTIATED")
-    sizes = {"multiplier": multipliers, "key": len(keys)}
-    return tuple(sizes[dim] for dim in inner)
+    sizes = {"multiplier": multipliers, "key": keys}
+    return tuple(sizes[dim] for dim in VARIABLES[name].dims[1:])
 
 
 def has_multipliers(name: str) -> bool:
@@ -276,7 +277,7 @@ class Head:
     Attributes
     ----------
     shape : Shape
-    multipliers : int
+    multipliers, keys : int
     gaits : frozenset of str
         Labels that were solved.
     is_archived : bool
@@ -299,6 +300,7 @@ class Head:
 
     shape: Shape
     multipliers: int
+    keys: int
     gaits: frozenset[str]
     is_archived: bool
     columns: dict[str, int]
@@ -337,6 +339,7 @@ class Head:
         return Head(
             Shape.of(*head["shape"]),
             head["multipliers"],
+            head["keys"],
             frozenset(head["gaits"]),
             head["is_archived"],
             columns,
@@ -385,7 +388,7 @@ class Head:
         ndarray, shape (points, gaits) or (points, gaits, multipliers)
             Line by line.
         """
-        extent = _extent(name, self.shape, self.multipliers)
+        extent = _extent(name, self.shape, self.multipliers, self.keys)
         points = math.prod(self.shape.sizes)
         more = extent[len(self.shape.extent) :]
         dtype = _dtype_of(name)

@@ -1,4 +1,6 @@
-"""The axes of a study: lists of values, ranges, and slopes that follow the gaits."""
+"""The axes of a study: lists of values, ranges, and slopes, or values of what else
+drives, that follow the gaits.
+"""
 
 from collections.abc import Mapping
 from fractions import Fraction
@@ -13,6 +15,7 @@ from gaitsweep.pipeline.study.fields import RANGE, axis_names, value_of
 from gaitsweep.pipeline.study.files import other
 from gaitsweep.pipeline.study.location import Location, clip
 from gaitsweep.pipeline.study.model import Axis, Definition
+from gaitsweep.tasks.contract.registry import DRIVES
 
 _MAX_DIGITS = 15  # decimals of a linear axis
 
@@ -32,8 +35,8 @@ def without_toward(
 
 def read(
     value: object, location: Location, at: Mapping[str, Any] | None = None
-) -> tuple[tuple[Axis, ...], float]:
-    """Axes of a study, and the tolerance of adaptive slopes, 0 for none.
+) -> tuple[tuple[Axis, ...], dict[str, float]]:
+    """Axes of a study, and the tolerances of those that are adaptive, by their names.
 
     Parameters
     ----------
@@ -52,16 +55,17 @@ def read(
         raise location.error("A study needs axes, at least `slope`")
     _check_names(value, location, at or {})
     if at and at["vary"] == "slope":
-        return tuple(_axis(name, value[name], location) for name in value), 0.0
+        return tuple(_axis(name, value[name], location) for name in value), {}
     if "slope" not in value:
         raise location.error("A study needs the axis `slope`")
 
-    slope, tolerance = value["slope"], 0.0
-    if isinstance(slope, dict) and "adaptive" in slope:
-        tolerance, slope = _adaptive(slope, location.at("slope"))
+    given, tolerances = {**value}, {}
+    for name in ("slope", *DRIVES):
+        axis = value.get(name)
+        if isinstance(axis, dict) and "adaptive" in axis:
+            tolerances[name], given[name] = _adaptive(axis, location.at(name))
 
-    given = {**value, "slope": slope}
-    return tuple(_axis(name, given[name], location) for name in given), tolerance
+    return tuple(_axis(name, given[name], location) for name in given), tolerances
 
 
 def _check_names(
@@ -100,13 +104,11 @@ def _check_slopes(values: np.ndarray, location: Location) -> None:
         slopes.check(slope, location)
 
 
-def _adaptive(
-    slope: dict[str, Any], location: Location
-) -> tuple[float, dict[str, Any]]:
-    """Tolerance of an adaptive slope axis, and its window as an axis of two values."""
-    location.check_names(slope, ("from", "to", "adaptive"), "key")
-    tolerance = value_of(RANGE, "adaptive", slope, location)
-    window = {key: value for key, value in slope.items() if key != "adaptive"}
+def _adaptive(axis: dict[str, Any], location: Location) -> tuple[float, dict[str, Any]]:
+    """Tolerance of an adaptive axis, and its window as an axis of two values."""
+    location.check_names(axis, ("from", "to", "adaptive"), "key")
+    tolerance = value_of(RANGE, "adaptive", axis, location)
+    window = {key: value for key, value in axis.items() if key != "adaptive"}
     return tolerance, {**window, "n": 2}
 
 

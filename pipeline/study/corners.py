@@ -43,11 +43,24 @@ def check_walkers(
             _check_curve(study, candidate, values, top.at("options"))
         if study.kind == "optimum":
             _check_optimum(study, candidate, values, top.at("options"))
-        # What the walker has at any corner, it has on some lines.
-        known = checks.get(number, check)["features"]
-        features = tuple(dict.fromkeys((*known, *check["features"])))
-        checks[number] = {**check, "features": features}
+        driven = check["driven"] or _drives(study, line_of(candidate, values))
+        checks[number] = _together(checks.get(number, check), check, driven)
     return tuple(checks.values())
+
+
+def _together(
+    known: dict[str, Any], check: dict[str, Any], driven: bool
+) -> dict[str, Any]:
+    """What is known of a walker after another corner, where it may be driven: what it
+    has at any corner, it has on some lines.
+    """
+    features = dict.fromkeys((*known["features"], *check["features"]))
+    return {
+        **check,
+        "features": tuple(features),
+        "driven": known["driven"] or driven,
+        "keys": max(known["keys"], check["keys"]),
+    }
 
 
 def _checked(
@@ -68,11 +81,10 @@ def _corners(study: Study) -> Iterator[tuple[int, Definition, dict[str, float]]]
     """Number of each walker, the walker, and values of the axes at the corners of the
     grid.
     """
-    ends = [
-        sorted({float(axis.values[0]), float(axis.values[-1])})
-        for axis in study.line_axes
-    ]
-    names = [axis.name for axis in study.line_axes]
+    axes = [*study.line_axes]
+    axes += [axis for axis in study.axes if axis.name == study.drive]
+    ends = [sorted({float(axis.values[0]), float(axis.values[-1])}) for axis in axes]
+    names = [axis.name for axis in axes]
     for number, walker in enumerate(study.walkers):
         for corner in itertools.islice(itertools.product(*ends), _MOST):
             yield number, walker, dict(zip(names, corner, strict=True))
@@ -137,6 +149,18 @@ def _can_be(walker: Definition, values: dict[str, float]) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _drives(study: Study, line: dict[str, Any]) -> bool:
+    """Whether more than gravity drives a walker at any corner of the plane over which
+    curves are followed.
+    """
+    plane = study.options.get("plane", {})
+    corners = itertools.product(*plane.values()) if plane else ()
+    return any(
+        dispatch.call("check_walker", {**line, "set": {**line["set"], **own}})["driven"]
+        for own in (dict(zip(plane, corner, strict=True)) for corner in corners)
+    )
 
 
 def _check_plane(

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from gaitsweep.tasks.contract.registry import VARIED
+from gaitsweep.tasks.contract.registry import DRIVES, OVER_DRIVE, VARIED, WINDOWED
 
 #: A walker as studies define it: its name, or the table of its keys.
 Definition: TypeAlias = str | dict[str, Any]
@@ -171,15 +171,34 @@ class Study:
 
     @property
     def along(self) -> str:
-        """Name of the axis along which the points of a line lie: the slope, or the
-        measure at whose values gaits are sought.
+        """Name of the axis along which the points of a line lie: the slope, what else
+        drives, or the measure at whose values gaits are sought.
         """
-        return str(self.at.get("measure", "slope"))
+        return str(self.at.get("measure", self.drive or "slope"))
+
+    @functools.cached_property
+    def drive(self) -> str:
+        """Name of the axis of what drives at each slope, over which gaits are followed
+        on level ground and uphill, or where a window of slopes would be one slope;
+        empty where the slope drives.
+        """
+        axes = {axis.name: axis.values for axis in self.axes}
+        found = [name for name in DRIVES if name in axes]
+        if self.kind not in OVER_DRIVE or not found or "slope" not in axes:
+            return ""
+        is_window = self.kind in WINDOWED
+        is_fixed = (axes["slope"] <= 0).all() or (is_window and len(axes["slope"]) == 1)
+        return found[0] if is_fixed else ""
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether more than gravity drives any of its walkers."""
+        return any(check["driven"] for check in self.checks)
 
     @property
     def slope(self) -> np.ndarray:
         """Values of the axis along which the points of a line lie, shape (n,): slopes
-        [rad], or values of a measure.
+        [rad], or values of what else drives or of a measure.
         """
         return next(a.values for a in self.axes if a.name == self.along)
 

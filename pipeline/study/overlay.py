@@ -81,7 +81,7 @@ def _needed(study: Study) -> list[str]:
     """Axes that need a column: those with several values."""
     needed = []
     for axis in study.axes:
-        if len(axis) > 1 and (axis.name == "slope" or study.kind == "grid"):
+        if len(axis) > 1 and (axis.name == study.along or study.kind == "grid"):
             needed.append(axis.name)
     if len(study.walkers) > 1:
         needed.append("walker")

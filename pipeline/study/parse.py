@@ -96,11 +96,23 @@ def parse(
         accuracy=accuracy,
         **results,
     )
-    rules.check(study, top)
+    _check(study, grid, top)
     study = _with_checks(study, wants, top, grid.toward_at)
 
     measured = _measurements(table.get("figures", {}), study, top.at("figures"))
     return replace(study, overlay=measured)
+
+
+def _check(study: Study, grid: "_Grid", top: Location) -> None:
+    """Check a study by the rules for its fields, and that axes which follow the gaits
+    are those along which they are followed.
+    """
+    for name in grid.adaptive:
+        if name != study.along:
+            raise top.at("axes", name, "adaptive").error(
+                f"`adaptive` is of the axis along which gaits are followed, `{study.along}`"
+            )
+    rules.check(study, top)
 
 
 def _gaits(table: Mapping[str, Any], top: Location) -> tuple[str, ...]:
@@ -124,6 +136,8 @@ class _Grid(NamedTuple):
         Where it is named, or would be by the walker.
     tuned : sequence of str
         Keys that are changed so that the walkers are tuned.
+    adaptive : sequence of str
+        Axes whose values follow the gaits.
     """
 
     axes: tuple[Axis, ...]
@@ -131,6 +145,7 @@ class _Grid(NamedTuple):
     toward: Definition | None
     toward_at: Location
     tuned: Sequence[str]
+    adaptive: Sequence[str]
 
 
 def _grid(table: Mapping[str, Any], kind: str, path: Path, top: Location) -> _Grid:
@@ -140,15 +155,15 @@ def _grid(table: Mapping[str, Any], kind: str, path: Path, top: Location) -> _Gr
     if toward is None:
         toward_at = top.at("walker", "toward")
     at, values = target.read(table, without, top)
-    axes, tolerance = axes_of_studies.read(values, top.at("axes"), at)
+    axes, tolerances = axes_of_studies.read(values, top.at("axes"), at)
 
     chosen = options.check(table.get("options", {}), kind, top.at("options"))
     tuned = chosen.pop("tuned", ())
-    if tolerance:
+    for tolerance in tolerances.values():
         chosen["adaptive"] = tolerance
     if at:
         chosen["at"] = at
-    return _Grid(axes, chosen, toward, toward_at, tuned)
+    return _Grid(axes, chosen, toward, toward_at, tuned, tuple(tolerances))
 
 
 def _check_is_study(table: Mapping[str, Any], top: Location) -> None:

@@ -22,6 +22,8 @@ from gaitsweep.tasks.contract.registry import (
 Rule: TypeAlias = Callable[[Study, Location], Iterator[StudyError]]
 #: Most free keys of an optimum.
 _MOST_FREE = 8
+#: The figure of what is varied until gaits have values of a measure.
+_SOUGHT = "sought"
 #: Largest grid; anything above is taken for a mistake.
 MAX_POINTS = 10**12
 
@@ -77,9 +79,12 @@ def _what_is_wanted_has_its_kind(study: Study, top: Location) -> Iterator[StudyE
 def _adaptive_slopes_follow_branches(
     study: Study, top: Location
 ) -> Iterator[StudyError]:
-    """Slopes that follow the gaits are those of a study of branches."""
-    if "adaptive" in study.options and study.kind != "branch":
-        yield top.at("axes", "slope", "adaptive").error(
+    """Points that follow the gaits are those of a study of branches, along these."""
+    if "adaptive" not in study.options:
+        return
+    place = top.at("axes", study.along, "adaptive")
+    if study.kind != "branch":
+        yield place.error(
             '`adaptive` is for studies of kind "branch", whose points follow the gaits'
         )
 
@@ -200,36 +205,76 @@ def _a_grid_has_a_size(study: Study, top: Location) -> Iterator[StudyError]:
         )
 
 
-def _level_ground_needs_a_drive(study: Study, top: Location) -> Iterator[StudyError]:
-    """Slopes of 0 and below are those of grids, and of curves over two keys, of walkers
-    that are driven.
+def _level_ground_has_its_kinds(study: Study, top: Location) -> Iterator[StudyError]:
+    """On slopes of 0 and below gaits are solved point by point, or followed over two
+    keys or over what drives.
     """
-    axes = [axis.values for axis in study.axes if axis.name == "slope"]
-    level = [x for values in axes for x in values.tolist() if slopes.is_level(x)]
-    if not level:
+    level = _level(study)
+    is_pointwise = study.kind in ("grid", "orbit", "basin")
+    if not level or is_pointwise or study.drive or "plane" in study.options:
         return
-    place = top.at("axes", "slope")
-    plane = study.options.get("plane", {})
-    if study.kind != "grid" and not plane:
-        yield place.error(
-            f"`slope` {slopes.BOUND} in studies of kind `{study.kind}`; got "
-            f"{level[0]:g}: on level ground and uphill grids of driven walkers have "
-            "gaits, and curves over a `plane` of two keys"
+    wrong = f"`slope` {slopes.BOUND} in studies of kind `{study.kind}`"
+    instead = "grids, orbits and basins of driven walkers have gaits"
+    if study.kind == "curve":
+        instead = "curves are over a `plane` of two keys"
+    if study.kind in registry.OVER_DRIVE:
+        instead = (
+            "give an axis `push_off` or `hip_torque`, over which they are followed"
         )
-    elif "drive" not in study.features and not plane.keys() & _DRIVING:
-        yield place.error(
-            f"`slope` {slopes.BOUND} for passive walkers; got {level[0]:g}. On level "
-            "ground and uphill, grids of walkers with a `push_off` or a `hip_torque` have gaits."
+        if any(axis.name in registry.DRIVES for axis in study.axes):
+            instead = "give no slopes above 0 beside these"
+    yield top.at("axes", "slope").error(
+        f"{wrong}; got {level[0]:g}: on level ground and uphill {instead}"
+    )
+
+
+def _level_ground_needs_a_drive(study: Study, top: Location) -> Iterator[StudyError]:
+    """Slopes of 0 and below are those of walkers that are driven."""
+    level = _level(study)
+    if level and not study.is_driven:
+        yield top.at("axes", "slope").error(
+            f"`slope` {slopes.BOUND} for passive walkers; got {level[0]:g}: "
+            f"{slopes.WHAT_DRIVES}"
         )
+
+
+def _level(study: Study) -> list[float]:
+    """Slopes of 0 and below that a study asks for."""
+    axes = [axis.values for axis in study.axes if axis.name == "slope"]
+    return [x for values in axes for x in values.tolist() if slopes.is_level(x)]
+
+
+def _what_drives_has_a_logarithm(study: Study, top: Location) -> Iterator[StudyError]:
+    """Gaits are followed over the logarithm of what drives."""
+    least = float(study.slope.min())
+    if study.drive and least <= 0:
+        yield top.at("axes", study.drive).wrong(
+            "must be > 0 where gaits are followed over it", least
+        )
+
+
+def _what_is_over_slopes_has_slopes(
+    study: Study, top: Location
+) -> Iterator[StudyError]:
+    """Fits, claims and figures of a walker's gaits over slopes are of such studies."""
+    if not study.drive:
+        return
+    for key, name in _wanted(study, "fits", "figures", "claims"):
+        if key != "figures" or set(registry.READS.get(name, ())) & {*registry.TASKS}:
+            yield top.at("want", key).error(
+                f"`{name}` is of gaits over slopes, and these are followed over "
+                f"`{study.drive}`"
+            )
 
 
 def _a_window_has_two_ends(study: Study, top: Location) -> Iterator[StudyError]:
-    """Slopes that are a window are two at least."""
-    slopes = study.slope
+    """Slopes that are a window are two at least, and so are values of what drives."""
+    values = study.slope
     is_window = study.kind in registry.WINDOWED and "plane" not in study.options
-    if is_window and slopes.min() == slopes.max():
-        yield top.at("axes", "slope").error(
-            f"The slopes of a `{study.kind}` are a window: give at least two; got {slopes[0]:g}"
+    if is_window and values.min() == values.max():
+        what = f"values of `{study.drive}`" if study.drive else "slopes"
+        yield top.at("axes", study.along).error(
+            f"The {what} of a `{study.kind}` are a window: give at least two; got {values[0]:g}"
         )
 
 
@@ -243,7 +288,7 @@ def _several_steps_have_no_laws(study: Study, top: Location) -> Iterator[StudyEr
                 f"`{name}` is of gaits of one step, and `steps` is {study.steps}"
             )
     if "adaptive" in study.options:
-        yield top.at("axes", "slope").error(
+        yield top.at("axes", study.along).error(
             f"`adaptive` is for gaits of one step, and `steps` is {study.steps}: give `n`"
         )
 
@@ -253,6 +298,10 @@ def _targets_are_of_gaits_of_a_grid(
 ) -> Iterator[StudyError]:
     """Gaits of one step are sought at values of a measure, in place of a grid's slopes."""
     if not study.at:
+        if _SOUGHT in study.figures:
+            yield top.at("want", "figures").error(
+                f"`{_SOUGHT}` is of gaits at values of a measure, and there is no `at`"
+            )
         return
     if study.kind != "grid":
         yield top.at("at").error(
@@ -263,7 +312,7 @@ def _targets_are_of_gaits_of_a_grid(
             f"`at` is of gaits of one step, and `steps` is {study.steps}"
         )
     for key, name in _wanted(study, "fits", "figures", "claims"):
-        if name in registry.READS or key != "figures":
+        if key != "figures" or (name in registry.READS and name != _SOUGHT):
             yield top.at("want", key).error(
                 f"`{name}` is of gaits at slopes, and `at` seeks them at values"
             )
@@ -288,8 +337,6 @@ def _wanted(study: Study, *keys: str) -> Iterator[tuple[str, str]]:
             yield key, name
 
 
-#: Keys that drive where they are varied.
-_DRIVING = {"push_off", "hip_torque"}
 RULES: tuple[Rule, ...] = (
     _accuracy_is_of_grids,
     _what_is_wanted_has_its_kind,
@@ -302,6 +349,9 @@ RULES: tuple[Rule, ...] = (
     _ground_needs_a_slope,
     _the_transition_is_of_short_gaits,
     _a_grid_has_a_size,
+    _level_ground_has_its_kinds,
+    _what_drives_has_a_logarithm,
+    _what_is_over_slopes_has_slopes,
     _a_window_has_two_ends,
     _several_steps_have_no_laws,
     _targets_are_of_gaits_of_a_grid,

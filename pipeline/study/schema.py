@@ -20,6 +20,7 @@ from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.values import Number, Schema, Slope, one_of, table
 from gaitsweep.tasks.contract.registry import (
     CLAIMS,
+    DRIVES,
     FIGURES,
     FITS,
     NEEDED_KINDS,
@@ -142,7 +143,8 @@ def _of_kind(kind: str) -> Schema:
     if kind != "grid":
         own |= {"accuracy": False, "at": False}
     if kind != "branch":
-        own["axes"] = {"properties": {"slope": {"properties": {"adaptive": False}}}}
+        not_adaptive = {"properties": {"adaptive": False}}
+        own["axes"] = {"properties": dict.fromkeys(("slope", *DRIVES), not_adaptive)}
     is_of_it: Schema = {
         "properties": {"kind": {"const": kind}},
         "required": [] if kind == "grid" else ["kind"],
@@ -163,7 +165,7 @@ def _not_wanted(kind: str) -> dict[str, Schema]:
 
 
 def _axis(name: str) -> Schema:
-    """An axis: a list, or a range; of the slope also an adaptive one, of detuning one
+    """An axis: a list, or a range; of what drives also an adaptive one, of detuning one
     that names a walker.
     """
     own = _key(name)
@@ -181,7 +183,7 @@ def _axis(name: str) -> Schema:
         {**_list(own, 1), "uniqueItems": True},
         table(spaced, ["from", "to", "n"]) | one_value,
     ]
-    if name == "slope":
+    if name in ("slope", *DRIVES):
         adaptive = {"from": own, "to": own, "adaptive": about["adaptive"]}
         forms.append(table(adaptive, ["from", "to", "adaptive"]))
     return {"description": own["description"], "anyOf": forms}

@@ -169,7 +169,7 @@ def check_driven(walker: Definition, keys: Mapping[str, Any], slope: float) -> N
 
 def _refuse_undriven(checked: Mapping[str, Any], slope: float) -> None:
     """Refuse a level slope of a walker that was checked, if nothing drives it."""
-    if "drive" not in checked["features"]:
+    if not checked["driven"]:
         raise slopes.undriven(slope)
 
 

@@ -15,6 +15,11 @@ if TYPE_CHECKING:  # help needs no arrays
 #: What a slope must be, and that of a walker which more than gravity drives.
 BOUND = f"must lie in [{SLOPES[0]:g}, {SLOPES[1]:g}) rad"
 BOUND_OF_DRIVEN = f"{BOUND}, or in (-{SLOPES[1]:g}, 0]"
+#: What a walker must have on other slopes than these.
+WHAT_DRIVES = (
+    "on level ground and uphill a walker needs a `push_off` or a `hip_torque` above 0, "
+    "or a spring whose `hip_rest` is, between legs with mass"
+)
 
 
 def is_slope(value: float | np.ndarray) -> Any:
@@ -34,10 +39,7 @@ def undriven(value: float) -> StudyError:
     drives there.
     """
     wrong = str(Location("", "slope").wrong(BOUND, value))
-    return StudyError(
-        f"{wrong[:-1]}: on level ground and uphill a walker needs a `push_off` or a "
-        "`hip_torque`."
-    )
+    return StudyError(f"{wrong[:-1]}: {WHAT_DRIVES}.")
 
 
 def check(

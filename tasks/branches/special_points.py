@@ -40,9 +40,15 @@ RATES = ("stance_rate", "thigh_rate", "shank_rate")
 _ON_GROUND = 1e-12
 #: Share of a segment by which rounding moves a point beyond its node.
 _AT_NODE = 1e-9
+#: Error of points where branches cross: beside these two solutions lie so near each
+#: other that doubles tell them apart to the root of their rounding.
+_AT_CROSSING = (64 * EPS) ** 0.5
 #: Points from which the slope of vanishing steps is extrapolated, and how far they
 #: reach, over the first's distance.
 _EXTRAPOLATION_POINTS, _EXTRAPOLATION_SPAN = 10, 3.0
+#: Change of the logarithm of rates over the angle with that of the angle below which
+#: both vanish alike.
+_ALIKE = 1e-3
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
@@ -230,26 +236,38 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
     -----
     Where the fastest rate vanishes more slowly than the angle, the slope is a smooth function of angle/rate and is
     extrapolated to zero, by Neville's scheme over Chebyshev's points; where not, the
-    angle has vanished in doubles.
+    angle has vanished in doubles, or what drives is no slope and changes no more.
     """
     order = slice(None) if end == 0 else slice(None, None, -1)
     Z = branch.Z[:, order]
     tangent = branch.tangent[:, order]
-    rates = np.abs(Z[1 : branch.m, 0])
-    share = 1 / np.abs(Z[1 + int(rates.argmax())])
+    fastest = 1 + int(np.abs(Z[1 : branch.m, 0]).argmax())
+    share = 1 / np.abs(Z[fastest])
     slope = np.exp(Z[-1])
 
     value = float(slope[0])
     left = abs(float(tangent[-1, 0] / tangent[0, 0]))
-    beyond = share > _EXTRAPOLATION_SPAN * share[0]
-    count = int(beyond.argmax()) if beyond.any() else len(share)
-    if left > EPS and count >= 2 * _EXTRAPOLATION_POINTS:
+    count = _near_the_end(share)
+    is_smooth = not _vanish_alike(Z[:, 0], tangent[:, 0], fastest)
+    if is_smooth and left > EPS and count >= 2 * _EXTRAPOLATION_POINTS:
         values = _extrapolated(share[:count], slope[:count])
         value = float(values[-1])
         # Rounding, which extrapolation enlarges, may be alike in the last three: they
         # were up to 3.6 times as far off.
         left = 4 * float(np.ptp(values[-3:]) / value)
     return {"slope": value, "error_bound": 4 * left + 8 * EPS}
+
+
+def _near_the_end(share: ndarray) -> int:
+    """How many of the first points are extrapolated from."""
+    beyond = share > _EXTRAPOLATION_SPAN * share[0]
+    return int(beyond.argmax()) if beyond.any() else len(share)
+
+
+def _vanish_alike(gait: ndarray, tangent: ndarray, fastest: int) -> bool:
+    """Whether the fastest rate vanishes as the angle does, at a branch's last gait (c,)."""
+    slower = abs(float(tangent[fastest] / gait[fastest]))
+    return slower < _ALIKE * abs(float(tangent[0]))
 
 
 def _extrapolated(x: ndarray, y: ndarray) -> ndarray:
@@ -322,6 +340,8 @@ def _error(kind: str, point: Point, lane: int, known: float) -> float:
     else:
         rounded = rounding(point.at.stride)[:, lane]
         error = float(np.nan_to_num(rounded, nan=np.inf).max())
+        if kind == "branch_point":
+            error = max(error, _AT_CROSSING)
     return known + error + 8 * EPS
 
 

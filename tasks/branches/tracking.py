@@ -147,6 +147,8 @@ def _stop_reasons(point: Point) -> ndarray:
     early = np.diff(point.at.times, axis=0).min(axis=0, initial=0.0) < -0.5
     # By the laws of vanishing slopes angles are hardly smaller than slopes.
     no_step = angle < np.minimum(-40, q - 10)
+    if problem.drive.at_slope is not None:
+        no_step |= _leave_the_drive(point)
     tests = {
         "window": beyond,
         "end_fall": ~no_step & (fall_margin(point.Z, point.at.stride.steps) > 0),
@@ -156,6 +158,22 @@ def _stop_reasons(point: Point) -> ndarray:
     return np.select(list(tests.values()), list(tests), "").astype(object)
 
 
+def _leave_the_drive(point: Point) -> PerLane:
+    """Whether steps vanish at a finite drive: it changes no more with their angle.
+
+    Notes
+    -----
+    An impulse acts on legs that stand apart: over the angle, steps of vanishing angle
+    repeat at that impulse at which a multiplier of standing still is 1.
+    """
+    by_angle, by_drive = np.abs(point.direction[[0, -1]])
+    is_small: PerLane = point.Z[0] < _SMALL_ANGLE
+    return is_small & (by_drive < _UNCHANGED * by_angle)
+
+
+#: Ln angle and change of the drive's logarithm with it below which steps vanish at a
+#: finite drive; rounding changes it a hundred times less.
+_SMALL_ANGLE, _UNCHANGED = -10.0, 1e-11
 #: Norm of rates over angle at which a branch ends at zero step length [sqrt(g/leg)].
 MOST_RATE = 36.0
 #: Why a track of several steps stops that passes the flip of half as many: beyond, it

@@ -34,13 +34,16 @@ class _OnBranch:
 
 
 def judge_rounded_slopes(case: Case) -> None:
-    """Tell rows that are gaits of the slope that was rounded to theirs."""
-    near, slope = case.rows.slope_rounding, case.rows.slope
+    """Tell rows that are gaits of the slope that was rounded to theirs, of one above 0
+    that was rounded to 0 too.
+    """
+    rounding, slope = case.rows.slope_rounding, case.rows.slope
     lanes = case.steppable
-    is_rounded = near[lanes] > case.rows.tolerance * slope[lanes]
-    lanes = lanes[is_rounded & (slope[lanes] > near[lanes])]
+    is_rounded = rounding[lanes] > case.rows.tolerance * slope[lanes]
+    lanes = lanes[is_rounded & (slope[lanes] + rounding[lanes] > 0)]
     with np.errstate(invalid="ignore", divide="ignore"):
-        low, high = np.log(slope - near), np.log(slope + near)
+        low = np.log(np.maximum(slope - rounding, 0.0))
+        high = np.log(slope + rounding)
     for found in _on_branches(case, lanes):
         q = np.log(found.slope)
         along = np.clip(q + found.along, low[lanes], high[lanes]) - q

@@ -70,7 +70,7 @@ TASKS = {
         Task(
             "points",
             "gaitsweep.tasks.studies.solve_points:points",
-            26,
+            27,
             needs=("atlas",),
         ),
         Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 1),
@@ -81,7 +81,7 @@ TASKS = {
         Task(
             "branch",
             "gaitsweep.tasks.studies.follow_branches:branch",
-            22,
+            23,
             needs=("atlas",),
         ),
         Task(
@@ -168,6 +168,11 @@ READ_BY_CLAIMS, INTERNAL = (
 #: Windows of slopes [rad] in which the walkers lose persistent walking whose loss the
 #: paper prints.
 LOSS_WINDOWS = {"D": (0.01, 0.0195), "C": (0.07, 0.1), "C-printed": (0.07, 0.1)}
+
+#: Keys over which gaits are followed where the slope does not drive, the first of those
+#: that vary; and the kinds of studies whose gaits may be followed over one.
+DRIVES = ("push_off", "hip_torque")
+OVER_DRIVE = ("branch", "cascade", "orbit", "basin")
 
 #: Kinds whose slopes are a window, between the least and the largest.
 WINDOWED = ("branch", "cascade", "curve", "design")

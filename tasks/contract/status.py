@@ -87,17 +87,22 @@ def beyond(label: str, pieces: Sequence[tuple[float, float]], slope: float) -> s
     )
 
 
-def over(gait: str, slope: np.ndarray) -> str:
-    """Say that a line has no gait of some kind at any of its slopes.
+def over(gait: str, values: np.ndarray, key: str = "slope") -> str:
+    """Say that a line has no gait of some kind at any of its points.
 
     Parameters
     ----------
     gait : str
-    slope : ndarray, shape (n,) [rad]
+    values : ndarray, shape (n,)
+        Slopes [rad], or values of what else drives, in the walker's units.
+    key : str
+        The name of what they are values of.
     """
-    low, high = f"{slope.min():.6g}", f"{slope.max():.6g}"
+    low, high = f"{values.min():.6g}", f"{values.max():.6g}"
+    where = "slope" if key == "slope" else f"`{key}`"
+    several = "slopes" if key == "slope" else f"values of `{key}`"
     return f"No {gait} " + (
-        f"at slopes from {low} to {high}." if low != high else f"at slope {low}."
+        f"at {several} from {low} to {high}." if low != high else f"at {where} {low}."
     )
 
 

@@ -299,6 +299,8 @@ class _Approach:
             replace_lanes(self.stride, lanes, moved)
         return ended
 
+    # Where nothing is measured, its product with a step of 0 decides nothing.
+    @np.errstate(invalid="ignore")
     def _is_far(self, lanes: Numbers, eta: PerLane) -> Marks:
         """Whether Newton's next step, of size eta, would leave an error, or the
         multipliers of this step would show the distance.
@@ -309,6 +311,7 @@ class _Approach:
         return (left > np.maximum(1e-16, 0.01 * of_rounding)) | (eta > near)
 
 
+@np.errstate(invalid="ignore")
 def _measured(guesses: Guesses, near: _Approach, eta: PerLane) -> Guesses:
     """Guesses with what their bounds need, measured at the point itself where there is
     nothing or it does not suffice.

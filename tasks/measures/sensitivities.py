@@ -30,6 +30,7 @@ from gaitsweep.tasks.walkers.walker import (
     BOUNDS,
     DIFFERENTIATED,
     KEYS,
+    OF_PASSIVE,
     ONE_LINK,
     Walker,
     WalkerError,
@@ -269,7 +270,7 @@ def differentiated(
     -------
     dict of ndarray, shape (n, keys)
         Derivatives by each of `DIFFERENTIATED` [the walker's units]; NaN where there
-        is no gait, or the walkers beside it are of another kind.
+        is no gait, the walkers beside it are of another kind, or it has no such drive.
     """
     wanted = [name for name in want if VARIABLES[name].group == SENSITIVITIES]
     if not wanted:
@@ -295,10 +296,11 @@ def _by_all_keys(
     problem: Problem, Z: Coordinates, names: Sequence[str]
 ) -> Iterator[tuple[int, str, np.ndarray]]:
     """Yield the place of each key, and the derivatives (n,) by it of each measure."""
-    line = {"walker": problem.walker.table(), "set": {}}
+    walker = problem.walker
+    line = {"walker": walker.table(), "set": {}}
     keys = [
-        KeyOfWalker(key, getattr(problem.walker, key), walkers_over(line, key))
-        for key in DIFFERENTIATED[1:]
+        KeyOfWalker(key, getattr(walker, key), walkers_over(line, key))
+        for key in (*OF_PASSIVE[1:], *walker.driving_keys)
     ]
     by_keys, _ = at_gaits(problem, Z, keys, names)
     for key, derivatives in by_keys.items():

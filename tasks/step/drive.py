@@ -67,11 +67,14 @@ class Drive:
         return float(getattr(walker, self.key) / self.unit(walker))
 
     def at(self, walker: Walker, drive: float) -> tuple[Walker, float]:
-        """Return a walker and the slope [rad] at a value of the drive."""
+        """Return a walker and the slope [rad] at a value of the drive; a torque adds to
+        the walker's own.
+        """
         if self.key == SLOPE:
             return walker, (self.at_slope or 0.0) + drive
         assert self.at_slope is not None
-        return walker.having(self.key, drive * self.unit(walker)), self.at_slope
+        own = getattr(walker, self.key) if self.key == HIP_TORQUE else 0.0
+        return walker.having(self.key, own + drive * self.unit(walker)), self.at_slope
 
     def slopes(self, drive: ndarray) -> ndarray:
         """Return the slopes at values of the drive.

@@ -36,9 +36,8 @@ from gaitsweep.tasks.walkers.resolve import (
     walkers_over,
 )
 from gaitsweep.tasks.walkers.walker import (
-    DIFFERENTIATED,
     KEYS,
-    OF_DRIVE,
+    OF_PASSIVE,
     ONE_LINK,
     Walker,
     WalkerError,
@@ -136,12 +135,11 @@ def _keys(wanted: Sequence[str] | None, line: Mapping[str, Any]) -> list[str]:
     """The keys wanted: all that hold numbers, of one link its own, and those of what
     drives the walker.
     """
-    of_links = list(DIFFERENTIATED[1:])
+    of_links = list(OF_PASSIVE[1:])
     if is_one_link(line["walker"]):
         of_links = [*ONE_LINK, *_COMMON]
     if wanted is None:
-        walker = walker_of_line(line)
-        return [*of_links, *(key for key in OF_DRIVE if getattr(walker, key))]
+        return [*of_links, *walker_of_line(line).driving_keys]
     known = (*KEYS, *ONE_LINK, *_DERIVED)
     for key in wanted:
         if key not in known:

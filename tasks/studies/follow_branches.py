@@ -1,10 +1,10 @@
-"""The task `branch`: solution branches over a window of slopes, with their special
-points.
+"""The task `branch`: solution branches over a window of slopes, or of what else drives,
+with their special points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,16 +19,20 @@ from gaitsweep.tasks.branches.sampling import chosen, within
 from gaitsweep.tasks.branches.special_points import RATES, record, special_points
 from gaitsweep.tasks.branches.tracking import correct
 from gaitsweep.tasks.contract.status import over
-from gaitsweep.tasks.contract.tables import nothing, stacked, table
+from gaitsweep.tasks.contract.tables import Arrays, nothing, stacked, table
 from gaitsweep.tasks.gaits.multipliers import multipliers
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Numbers, PerLane
+from gaitsweep.tasks.step.drive import HIP_TORQUE
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
-from gaitsweep.tasks.walkers.resolve import walker_of_line
+from gaitsweep.tasks.studies.followed import followed_over
+from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
-#: Columns of the tables `branches` and `special_points`.
+#: Columns of the tables `branches` and `special_points`, with the slope where it
+#: drives.
 COLUMNS = (
     *("branch", "slope", "stance_angle", *RATES),
     *("period", "kneestrike_time", "spectral_radius", "stable", "gait"),
@@ -36,6 +40,8 @@ COLUMNS = (
 SPECIAL = ("branch", "kind", "slope", "stance_angle", *RATES, "period", "error_bound")
 #: Largest number of points between two nodes; a window that needs more is too narrow.
 _MAX_PARTS = 65536
+#: Walkers of different torques that are measured at once.
+_AT_ONCE = 128
 #: Least share of ln slope in a branch's direction for points to be corrected at their
 #: slopes.
 _STEEP = 1e-2
@@ -49,9 +55,11 @@ def branch(
     Parameters
     ----------
     params : mapping
-        `line`; `slope_from`, `slope_to` [rad], the window; `n`, the least number of
-        points of a branch in it, or `adaptive`, the tolerance of linear interpolation
-        between them; `steps` after which the gaits repeat.
+        `line`; `along`, the key that drives at the line's slope, if it is not the slope
+        that does; `slope_from`, `slope_to`, the window of slopes [rad] or of that key
+        [the walker's units]; `n`, the least number of points of a branch in it, or
+        `adaptive`, the tolerance of linear interpolation between them; `steps` after
+        which the gaits repeat.
     inputs : list
         The line's atlas, of the same `steps`.
 
@@ -61,11 +69,12 @@ def branch(
         Tables `branches` (branch, slope, stance_angle, stance_rate, thigh_rate,
         shank_rate, period, kneestrike_time, spectral_radius, stable, gait) and
         `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate,
-        shank_rate, period, error_bound), in the walker's units.
+        shank_rate, period, error_bound), in the walker's units; `along` takes the place
+        of the slope.
     """
-    walker = walker_of_line(params["line"])
-    problem = Problem(walker, int(params.get("steps", 1)))
-    low, high = float(params["slope_from"]), float(params["slope_to"])
+    problem, unit = followed_over(params, int(params.get("steps", 1)))
+    window = np.array([params["slope_from"], params["slope_to"]], float)
+    low, high = (window / unit).tolist()
     least = int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
     parts: list[tuple[Any, ...]] = []
@@ -76,27 +85,36 @@ def branch(
         else:
             Z = _dense(problem, curve, low, high, least)
         if Z.shape[1]:
-            parts.append((number, *_columns(problem, Z)))
+            parts.append((number, *_columns(problem, Z, unit)))
             for point in _special_within(problem, curve, low, high):
-                points.append((number, *_special_row(problem, point)))
+                points.append((number, *_special_row(problem, point, unit)))
 
-    tables = stacked("branches", parts, COLUMNS)
-    tables |= table("special_points", points, SPECIAL)
-    if not parts:
-        gait = "gait"
-        if problem.steps > 1:
-            gait += f" of {problem.steps} steps"
-        tables |= nothing(over(gait, np.array([low, high])))
-    return tables
+    tables = stacked("branches", parts, _over(problem, COLUMNS))
+    tables |= table("special_points", points, _over(problem, SPECIAL))
+    return tables if parts else tables | _none(problem, window)
 
 
-def _columns(problem: Problem, Z: Coordinates) -> tuple[Any, ...]:
-    """Columns of the table `branches` after the first, of points of a branch."""
+def _none(problem: Problem, window: PerLane) -> Arrays:
+    """That there is no gait in a window."""
+    gait = "gait" if problem.steps == 1 else f"gait of {problem.steps} steps"
+    return nothing(over(gait, window, problem.drive.key))
+
+
+def _over(problem: Problem, columns: Sequence[str]) -> tuple[str, ...]:
+    """Columns with what gaits are followed along in the place of the slope."""
+    along = problem.drive.key
+    return tuple(along if column == "slope" else column for column in columns)
+
+
+def _columns(problem: Problem, Z: Coordinates, unit: float) -> tuple[Any, ...]:
+    """Columns of the table `branches` after the first, of points of a branch; `unit` is
+    that of what drives.
+    """
     walker = problem.walker
     w = from_largest(Z[:-1], problem.m, problem.steps)
-    slope = np.exp(Z[-1])
     stride, scale = problem.stride(w, Z[-1])
-    state = problem.start(stride.y * scale, slope)
+    drive = np.exp(Z[-1])
+    state = problem.start(stride.y * scale, drive)
     rates = state[1:] / walker.time_unit
     jacobian = stride.jacobian
     magnitudes = np.abs(multipliers(jacobian, len(jacobian)))
@@ -104,7 +122,7 @@ def _columns(problem: Problem, Z: Coordinates) -> tuple[Any, ...]:
     times = w[problem.m :] * walker.time_unit
     kneestrike = times[0] if walker.knees else np.nan
     return (
-        slope,
+        unit * drive,
         np.exp(w[0]),
         *rates,
         times[-1],
@@ -128,12 +146,16 @@ def _special_within(
     return inside + _leaves_window(problem, branch, low, high)
 
 
-def _special_row(problem: Problem, point: dict[str, Any]) -> tuple[Any, ...]:
-    """Row of the table `special_points` after the first column."""
+def _special_row(
+    problem: Problem, point: dict[str, Any], unit: float
+) -> tuple[Any, ...]:
+    """Row of the table `special_points` after the first column; `unit` is that of what
+    drives.
+    """
     time_unit = problem.walker.time_unit
     return (
         point["kind"],
-        point["slope"],
+        unit * point["slope"],
         point["stance_angle"],
         *(np.array(point["rates"]) / time_unit),
         point["period"] * time_unit,
@@ -198,13 +220,39 @@ def _least_force(
     """Least normal force over the steps of gaits, as `violations` measures it."""
     stride, scale = problem.stride(Z[:-1], Z[-1], samples=samples)
     singles = stride.singles
-    scale, slope = np.tile([scale, np.exp(Z[-1])], stride.steps)
+    scale, drive = np.tile([scale, np.exp(Z[-1])], stride.steps)
     motion = [part * scale for part in singles.motion]
     # A step begins with the heelstrike that ends the one before it.
     impact = np.roll(singles.impact, Z.shape[1], axis=1) * scale
-    measured = violations.measure(problem.walker, motion, impact, singles.times, slope)
-    force: PerLane = measured["least_normal_force"]
+    slope = problem.slopes(drive)
+
+    force: PerLane = np.empty(len(drive))
+    for walker, lanes in _walkers(problem, drive):
+        measured = violations.measure(
+            walker,
+            [part[..., lanes] for part in motion],
+            impact[:, lanes],
+            singles.times[:, lanes],
+            slope[lanes],
+        )
+        force[lanes] = measured["least_normal_force"]
     return force.reshape(stride.steps, -1).min(axis=0)
+
+
+def _walkers(problem: Problem, drive: PerLane) -> Iterator[tuple[Walker, slice]]:
+    """Yield the walkers that values of what drives make, as far as these act during the
+    motion, and of which lanes they are.
+    """
+    if problem.drive.key != HIP_TORQUE:
+        yield problem.walker, slice(None)
+        return
+    for k in range(0, len(drive), _AT_ONCE):
+        lanes = slice(k, k + _AT_ONCE)
+        own = []
+        for value in drive[lanes].tolist():
+            walker, _ = problem.drive.at(problem.walker, value)
+            own.append(walker)
+        yield WalkerArray.of(own), lanes
 
 
 def _leaves_window(

@@ -1,5 +1,5 @@
-"""The task `orbit`: steps from many initial conditions at many slopes, their attractors
-and falls.
+"""The task `orbit`: steps from many initial conditions at many slopes, or values of what
+else drives, their attractors and falls.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.status import over
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
@@ -17,9 +16,9 @@ from gaitsweep.tasks.gaits.polish import SAFETY_FACTOR
 from gaitsweep.tasks.orbits.initial_states import NO_START, gaits_at, r_sequence
 from gaitsweep.tasks.orbits.lyapunov import Exponents, estimate
 from gaitsweep.tasks.orbits.walk import Walk
-from gaitsweep.tasks.step.problem import EPS, Problem, scale_of, sizes
+from gaitsweep.tasks.step.problem import EPS, scale_of, sizes
 from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
-from gaitsweep.tasks.walkers.resolve import walker_of_line
+from gaitsweep.tasks.studies.solve_driven import Followed, followed, joined
 
 #: Steps over which the directions of growth align before exponents are averaged, and
 #: blocks of the average.
@@ -44,10 +43,12 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `line`; `slope`, ndarray, shape (n,) [rad]; and the study's options: `gait`
-        around which the initial conditions lie, `starts` (their number at each slope),
-        `spread` (their relative distance), `transient` (steps dropped), `steps` (kept,
-        over which exponents are averaged), `shown` (the last of them, tabulated).
+        `line`; `along`, the key that drives at the line's slope, if it is not the slope
+        that does; `slope`, ndarray, shape (n,) [rad], or values of that key [the
+        walker's units]; and the study's options: `gait` around which the initial
+        conditions lie, `starts` (their number at each slope), `spread` (their relative
+        distance), `transient` (steps dropped), `steps` (kept, over which exponents are
+        averaged), `shown` (the last of them, tabulated).
     inputs : list
         The line's atlas.
 
@@ -60,7 +61,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         standard_error, strides, reason), `falls` (slope, start, steps, cause) and
         `survival` (slope, starts, falls, strides, lifetime: steps per fall), in the
         walker's units. Exponents are per step; only orbits that walk to the end are in
-        the first two.
+        the first two. What drives stands in the place of the slope.
 
     Notes
     -----
@@ -69,11 +70,17 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     infinities.
     """
     options = registry.options("orbit", params)
-    walker = walker_of_line(params["line"])
-    slope = np.asarray(params["slope"], float)
-    branches = atlases.from_arrays(inputs[0])
-    problem = Problem(walker)
-    known, gaits = gaits_at(problem, branches, slope, str(options["gait"]))
+    parts = []
+    for points in followed(params, inputs[0]):
+        parts.append(_orbits_of(points, options))
+    return joined(parts)
+
+
+def _orbits_of(points: Followed, options: Mapping[str, Any]) -> Arrays:
+    """The tables of points of a line whose gaits lie on the same branches."""
+    problem, slope = points.problem, points.drive
+    walker = problem.walker
+    known, gaits = gaits_at(problem, points.branches, slope, str(options["gait"]))
     starts = _starts(gaits, slope[known], options)
     walk = Walk(problem, starts.y, starts.slope)
     strides = int(options["steps"])
@@ -84,9 +91,11 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     tables = _orbits(rows[:, :, walks], starts.some(walks), strides, walker.time_unit)
     tables |= _falls(walk, starts, ~walks, np.delete(slope, known))
     if not len(known):
-        tables |= nothing(over(f"{options['gait']} gait", slope))
+        gait = f"{options['gait']} gait"
+        tables |= nothing(over(gait, points.asked, points.key))
     tables |= _survival(starts.slope, walk.taken, ~walks)
-    return tables | _exponents(means[:, :, walks], starts.slope[walks], strides)
+    tables |= _exponents(means[:, :, walks], starts.slope[walks], strides)
+    return points.named(tables)
 
 
 class _Starts(NamedTuple):

@@ -1,5 +1,5 @@
 """The task `cascade`: gaits of period 1, 2, 4, ... and of other periods, from folds
-through period doublings.
+through period doublings, over slopes or over what else drives.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from gaitsweep.tasks.mechanics.arrays import Slopes, Unknowns
 from gaitsweep.tasks.orbits.crisis import lost
 from gaitsweep.tasks.orbits.initial_states import gaits_at, r_sequence
 from gaitsweep.tasks.orbits.walk import Walk
+from gaitsweep.tasks.step.drive import SLOPE
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.sameness import SAME_GAIT, SAME_POINT
@@ -40,6 +41,7 @@ from gaitsweep.tasks.step.several_steps import (
     sections,
 )
 from gaitsweep.tasks.step.simulate import STRUCK, stride
+from gaitsweep.tasks.studies.followed import followed_over
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Orbits that locate the loss of walking, their relative distance from the last gait
@@ -96,7 +98,7 @@ class _Event:
 
     @property
     def slope(self) -> float:
-        """Its slope [rad]."""
+        """Its slope [rad], or what else drives."""
         return float(np.exp(self.q))
 
 
@@ -120,8 +122,10 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `line`; `slope`, ndarray [rad], whose ends are the window and whose values are
-        searched for families of other periods than one; and the study's options:
+        `line`; `along`, the key that drives at the line's slope, if it is not the slope
+        that does; `slope`, ndarray [rad], or values of that key [the walker's units],
+        whose ends are the window and whose values are searched for families of other
+        periods than one; and the study's options:
         `periods`, the longest; `families`, first periods; `starts`, initial conditions
         of the search at each slope; `steps`, that walking must last (0: its end is not
         located). Without slopes nothing is located. `near` may name another line, whose
@@ -138,12 +142,12 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         stopped: why no further flip was located), and `lost` (family, low, high,
         starts, strides, reason): the slopes [rad] between which the chaos beyond a
         family's doublings ends, in falls or a period-one gait; `reason` says why one of
-        them is NaN.
+        them is NaN. What drives stands in the place of the slope.
     """
     options = registry.options("cascade", params)
-    problem = Problem(walker_of_line(params["line"]))
-    near = Problem(walker_of_line(params["near"])) if "near" in params else problem
-    slope = np.sort(np.asarray(params["slope"], float))
+    problem, unit = followed_over(params)
+    near = _near(problem, params)
+    slope = np.sort(np.asarray(params["slope"], float)) / unit
     if not len(slope):
         return {}
 
@@ -156,24 +160,35 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         found = _families(problem, first, slope, period, longest)
         families |= found
         for name, family in found.items():
-            accumulations.append(_accumulation_row(name, family))
+            accumulations.append(_accumulation_row(name, family, unit))
         if not found:
-            why = _no_family(period, slope)
+            why = _no_family(period, slope * unit, problem)
             missing.append(why)
             accumulations.append((f"{period}", 0, *_UNKNOWN, why))
 
-    tables = _event_table(families, problem.walker.time_unit)
-    tables |= table("accumulation", accumulations, _ACCUMULATION)
+    tables = _event_table(families, problem)
+    tables |= table("accumulation", accumulations, _over(problem, _ACCUMULATION))
     tables |= _lost_table(problem, families, slope, int(options["steps"]))
     if not families:
         tables |= nothing(" ".join(missing))
     return tables
 
 
-def _no_family(period: int, slope: Slopes) -> str:
-    """Why there is no family of a period."""
+def _near(problem: Problem, params: Mapping[str, Any]) -> Problem:
+    """The problem of the walker from whose gaits the first are sought."""
+    return Problem(walker_of_line(params["near"])) if "near" in params else problem
+
+
+def _over(problem: Problem, columns: Sequence[str]) -> list[str]:
+    """Columns with what gaits are followed along in the place of the slope."""
+    along = problem.drive.key
+    return [along if column == "slope" else column for column in columns]
+
+
+def _no_family(period: int, values: ndarray, problem: Problem) -> str:
+    """Why there is no family of a period at values of what gaits are followed along."""
     gait = "long gait" if period == 1 else f"gait of period {period} was found"
-    return over(gait, slope)
+    return over(gait, values, problem.drive.key)
 
 
 def _families(
@@ -194,28 +209,27 @@ def _families(
     return dict(zip(names, families, strict=True))
 
 
-def _event_table(families: dict[str, _Family], time_unit: float) -> Arrays:
+def _event_table(families: dict[str, _Family], problem: Problem) -> Arrays:
     """The table of the folds and flips of families, by their names."""
     rows: list[tuple[Any, ...]] = []
     for name, family in families.items():
-        rows += _event_rows(name, family, time_unit)
-    return table("cascade", rows, _CASCADE)
+        rows += _event_rows(name, family)
+    return table("cascade", rows, _over(problem, _CASCADE))
 
 
-def _event_rows(
-    name: str, family: _Family, time_unit: float
-) -> Iterator[tuple[Any, ...]]:
-    """Rows of a family's folds and flips."""
+def _event_rows(name: str, family: _Family) -> Iterator[tuple[Any, ...]]:
+    """Rows of a family's folds and flips, in the walker's units."""
     ratio = iter(scaling.ratios(family.flips))
     for event in family.events:
         problem, state = event.gait.problem, state_at(event.gait, 0)
-        rates = (np.array(state["rates"]) / time_unit).tolist()
+        walker = problem.walker
+        rates = (np.array(state["rates"]) / walker.time_unit).tolist()
         is_step = int(check_steps(problem, event.gait.Z).step[0])
         yield (
             name,
             problem.steps,
             event.kind,
-            event.slope,
+            event.slope * problem.drive.unit(walker),
             event.error,
             next(ratio) if event.kind == "flip" else np.nan,
             state["stance_angle"],
@@ -224,11 +238,11 @@ def _event_rows(
         )
 
 
-def _accumulation_row(name: str, family: _Family) -> tuple[Any, ...]:
-    """Row of where a family's flips accumulate."""
+def _accumulation_row(name: str, family: _Family, unit: float) -> tuple[Any, ...]:
+    """Row of where a family's flips accumulate, in a unit."""
     ratios = scaling.ratios(family.flips)
     last = float(ratios[-1]) if len(ratios) else np.nan
-    bounds = scaling.accumulation(family.flips)
+    bounds = [unit * bound for bound in scaling.accumulation(family.flips)]
     return (name, len(family.flips), *bounds, last, family.stopped)
 
 
@@ -253,22 +267,32 @@ def _lost_rows(
     end = float(np.clip(reach, slope[0], slope[-1]))
     orbits = _spread_around(family.events[-1])
     low, high = lost(problem, orbits, accumulation, end, steps)
-    reason = _unbracketed(low, high, accumulation, end)
+    reason = _unbracketed(problem, low, high, accumulation, end)
     # Doublings may lead to smaller slopes.
     rises = accumulation > family.flips[0]
-    bracket = (low, high) if rises else (high, low)
+    unit = problem.drive.unit(problem.walker)
+    bracket = (unit * low, unit * high) if rises else (unit * high, unit * low)
     return [(name, *bracket, _ORBITS, steps, reason)]
 
 
-def _unbracketed(low: float, high: float, accumulation: float, end: float) -> str:
+def _unbracketed(
+    problem: Problem, low: float, high: float, accumulation: float, end: float
+) -> str:
     """Why the loss of an attractor has no slope on one of its sides; empty where it has
     both.
     """
     if np.isnan(low):
-        return f"Orbits are lost at the accumulation point already, at slope {accumulation:.6g}."
+        at = _in_words(problem, accumulation)
+        return f"Orbits are lost at the accumulation point already, at {at}."
     if np.isnan(high):
-        return f"Orbits persist to slope {end:.6g}, where the search ends."
+        return f"Orbits persist to {_in_words(problem, end)}, where the search ends."
     return ""
+
+
+def _in_words(problem: Problem, drive: float, of: str = "") -> str:
+    """A slope in words, or a value of what else drives, in the walker's units."""
+    key, unit = problem.drive.key, problem.drive.unit(problem.walker)
+    return f"{key if key == SLOPE else f'`{key}`'}{of} {drive * unit:.6g}"
 
 
 def _spread_around(event: _Event) -> ndarray:
@@ -517,22 +541,24 @@ def _first_event(
     slope = float(np.exp(begun[0].at.q[0]))
     for number, (before, after) in enumerate(itertools.pairwise(points)):
         if number == _MAX_POINTS:
-            why = f"none on {_MAX_POINTS} points of the branch, up to a slope of "
-            return None, f"{why}{slope:.6g}"
+            why = f"none on {_MAX_POINTS} points of the branch, up to a"
+            return None, f"{why} {_in_words(problem, slope, ' of')}"
         slope = float(np.exp(after.at.q[0]))
 
         event, is_between = _event_between(problem, before, after, kind)
         if is_between and event is None:
-            why = "the next one could not be located, near a slope of"
-            return None, f"{why} {slope:.6g}"
+            why = "the next one could not be located, near a"
+            return None, f"{why} {_in_words(problem, slope, ' of')}"
         if event is not None and not low <= event.q <= high:
-            why = "the next one lies outside the window, at a slope of"
-            return None, f"{why} {event.slope:.6g}"
+            why = "the next one lies outside the window, at a"
+            return None, f"{why} {_in_words(problem, event.slope, ' of')}"
         if event is not None:
             return event, ""
         if not low - _MARGIN <= after.at.q[0] <= high + _MARGIN:
-            return None, f"the branch leaves the window at a slope of {slope:.6g}"
-    return None, f"the branch could not be continued beyond a slope of {slope:.6g}"
+            left = _in_words(problem, slope, " of")
+            return None, f"the branch leaves the window at a {left}"
+    left = _in_words(problem, slope, " of")
+    return None, f"the branch could not be continued beyond a {left}"
 
 
 def _event_between(

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.status import over
@@ -19,7 +18,7 @@ from gaitsweep.tasks.orbits.initial_states import NO_START, gaits_at
 from gaitsweep.tasks.orbits.stable_manifold import saddle_at, stable_manifold
 from gaitsweep.tasks.orbits.walk import Walk
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.walkers.resolve import walker_of_line
+from gaitsweep.tasks.studies.solve_driven import Followed, followed, joined
 
 #: Default ranges, as multiples of the long gait's angle and rate.
 _AROUND = (0.4, 2.0)
@@ -35,9 +34,11 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `line`; `slope`, ndarray, shape (n,) [rad]; and the study's options: `size` of
-        the grid along each side, `steps` after which an orbit counts as walking,
-        `stance_angle` and `stance_rate` (from, to).
+        `line`; `along`, the key that drives at the line's slope, if it is not the slope
+        that does; `slope`, ndarray, shape (n,) [rad], or values of that key [the
+        walker's units]; and the study's options: `size` of the grid along each side,
+        `steps` after which an orbit counts as walking, `stance_angle` and `stance_rate`
+        (from, to).
     inputs : list
         The line's atlas.
 
@@ -51,6 +52,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         and `areas` (slope, outcome, area, standard_error, share, starts), in the
         walker's units; an area is of angles and rates; of slopes without a long gait
         only a row of `areas`, which says so; of a line without any `nothing` (reason).
+        What drives stands in the place of the slope.
 
     Notes
     -----
@@ -63,14 +65,18 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     and independent of the others.
     """
     options = registry.options("basin", params)
-    walker = walker_of_line(params["line"])
-    problem = Problem(walker)
-    branches = atlases.from_arrays(inputs[0])
-    slopes = np.asarray(params["slope"], float)
+    parts = []
+    for points in followed(params, inputs[0]):
+        parts.append(_basins(points, options))
+    return joined(parts)
 
+
+def _basins(points: Followed, options: Mapping[str, Any]) -> Arrays:
+    """The tables of points of a line whose gaits lie on the same branches."""
+    problem, walker = points.problem, points.problem.walker
     rows = _Rows(walker.time_unit)
-    for slope in slopes:
-        gaits = _gaits(problem, branches, slope)
+    for slope in points.drive:
+        gaits = _gaits(problem, points.branches, slope)
         if "long" not in gaits:
             rows.areas.append((slope, NO_START, 0.0, 0.0, np.nan, 0))
             continue
@@ -85,8 +91,8 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
     tables = rows.tables(problem.m)
     if not rows.basins:
-        tables |= nothing(over("long gait", slopes))
-    return tables
+        tables |= nothing(over("long gait", points.asked, points.key))
+    return points.named(tables)
 
 
 def _gaits(

@@ -190,9 +190,15 @@ def check_target(params: Mapping[str, Any]) -> dict[str, Any]:
     value = target.low + _ORDINARY * (target.high - target.low)
     middle = check({**line, "set": {**line["set"], target.vary: value}})
     moved = [key for key, movers in middle["varied"].items() if target.vary in movers]
+    high = check({**line, "set": {**line["set"], target.vary: target.high}})
     features = dict.fromkeys((*checked["features"], *middle["features"]))
-    sought = target.vary, *moved
-    return {**checked, "sought": sought, "features": tuple(features)}
+    return {
+        **checked,
+        "sought": (target.vary, *moved),
+        "features": tuple(features),
+        "driven": any(each["driven"] for each in (checked, middle, high)),
+        "keys": max(checked["keys"], middle["keys"]),
+    }
 
 
 def solve_at_value(params: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,17 +8,22 @@ on them.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy import ndarray
 
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.refine import COARSE
+from gaitsweep.tasks.contract.tables import Arrays
 from gaitsweep.tasks.mechanics.kernel import is_compact
-from gaitsweep.tasks.step.drive import HIP_TORQUE, PUSH_OFF, Drive
+from gaitsweep.tasks.step.drive import HIP_TORQUE, PUSH_OFF, SLOPE, Drive
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.studies.follow_cycles import cycle_branches
+from gaitsweep.tasks.studies.followed import followed_over
 from gaitsweep.tasks.walkers.walker import Walker
 
 #: Lines whose branches are remembered: those of one walker and slope, whatever the
@@ -44,16 +49,15 @@ def driven(walker: Walker, slope: float, steps: int = 1) -> tuple[Problem, float
         In units of the leg, the walker's mass and g; a torque over the swing leg's
         inertia, too.
     """
-    # A spring that rests at an angle is one that rests with the legs together, and a
-    # constant torque.
-    torque = walker.hip_torque + walker.hip_stiffness * walker.hip_rest
-    turns = torque > 0 and not walker.massless_leg
-    if turns and not walker.push_off:
-        walker = walker.having("hip_rest", 0.0).having("hip_torque", torque)
-    key = HIP_TORQUE if turns and not walker.push_off else PUSH_OFF
-    drive = Drive(key, slope)
-    problem = Problem(walker.having(key, 0.0), steps, drive)
-    return problem, drive.of(walker)
+    if walker.is_driven and not walker.pushes_off:
+        # The torque that holds a spring that rests at an angle with the legs together,
+        # so that what drives is all that turns them.
+        drive, torque = Drive(HIP_TORQUE, slope), walker.forward_torque
+        held = walker.having("hip_torque", 0.0 - walker.hip_stiffness * walker.hip_rest)
+        return Problem(held, steps, drive), torque / drive.unit(walker)
+
+    drive = Drive(PUSH_OFF, slope)
+    return Problem(walker.having(PUSH_OFF, 0.0), steps, drive), drive.of(walker)
 
 
 def branches_of(problem: Problem) -> list[Branch]:
@@ -87,3 +91,79 @@ def in_units(
     """Return ranges of the drive in the walker's units."""
     unit = problem.drive.unit(problem.walker)
     return [(low * unit, high * unit) for low, high in pieces]
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Points of a line whose gaits lie on the same branches.
+
+    Attributes
+    ----------
+    problem : Problem
+    branches : list of Branch
+    drive : ndarray, shape (n,)
+        Slopes [rad], or values of what else drives, as the problem counts them.
+    asked : ndarray, shape (n,)
+        What was asked for, in the walker's units: slopes [rad], or values of `key`.
+    key : str
+    """
+
+    problem: Problem
+    branches: list[Branch]
+    drive: ndarray
+    asked: ndarray
+    key: str = SLOPE
+
+    def named(self, tables: Arrays) -> Arrays:
+        """Return tables of values of the drive as those of what was asked for."""
+        order = np.argsort(self.drive)
+        named: Arrays = {}
+        for name, column in tables.items():
+            group, _, own = name.rpartition("/")
+            if own == SLOPE:
+                name = f"{group}/{self.key}"
+                places = order[np.searchsorted(self.drive[order], column)]
+                column = self.asked[places]
+            named[name] = column
+        return named
+
+
+def followed(params: Mapping[str, Any], atlas: Arrays) -> list[Followed]:
+    """Return the points of a line by the branches on which their gaits lie: those of
+    slopes above 0, or of a drive, and of every slope of 0 and below what drives there.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`, `slope` and perhaps `along`, as for `followed_over`.
+    atlas : dict
+        Of the line.
+    """
+    problem, unit = followed_over(params)
+    values = np.asarray(params["slope"], float)
+    branches = atlases.from_arrays(atlas)
+    if "along" in params:
+        key = str(params["along"])
+        return [Followed(problem, branches, values / unit, values, key)]
+
+    leads = values > 0
+    parts = [Followed(problem, branches, values[leads], values[leads])]
+    for slope in values[~leads].tolist():
+        own, drive = driven(problem.walker, slope)
+        found = branches_of(own) if drive else []
+        parts.append(Followed(own, found, np.array([drive]), np.array([slope])))
+    return [part for part in parts if len(part.drive)]
+
+
+def joined(parts: Sequence[Arrays]) -> Arrays:
+    """Return the tables of several points as those of their line, which has nothing
+    only where none has anything.
+    """
+    names = dict.fromkeys(name for part in parts for name in part)
+    some = [part for part in parts if "nothing/reason" not in part]
+    if some and len(some) < len(parts):
+        names.pop("nothing/reason", None)
+    return {
+        name: np.concatenate([part[name] for part in parts if name in part])
+        for name in names
+    }

@@ -34,6 +34,7 @@ from gaitsweep.tasks.mechanics.kernel import is_compact
 from gaitsweep.tasks.mechanics.lumped import Structure, alike
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.studies.follow_cycles import cycle_branches
+from gaitsweep.tasks.studies.followed import followed_over
 from gaitsweep.tasks.studies.interpolate import Interpolation
 from gaitsweep.tasks.studies.request import Request
 from gaitsweep.tasks.studies.solve_driven import (
@@ -77,8 +78,9 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     ----------
     params : mapping
         `line`: `{"walker": name or table, "set": {key: value}}`; `coarse`: whether for
-        few points; `steps` after which the gaits repeat (1 if omitted); `level`,
-        whether no slope leads down, so that none of its branches is asked for.
+        few points; `steps` after which the gaits repeat (1 if omitted); `along`, the
+        key over which gaits are followed at the line's slope, if not over slopes;
+        `level`, whether no slope leads down, so that none of its branches is asked for.
     inputs : list
         Empty.
 
@@ -89,8 +91,13 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     if params.get("level"):
         return atlases.to_arrays([])
-    problem = Problem(walker_of_line(params["line"]))
+    problem, _ = followed_over(params)
     steps = int(params.get("steps", 1))
+    if "along" in params:
+        single = atlases.survey(problem, FINE)
+        return atlases.to_arrays(
+            cycle_branches(problem, single, steps) if steps > 1 else single
+        )
     if steps > 1:
         # They are followed far from the branches where they begin.
         (single,) = survey([problem.walker], problem.structure, FINE)

@@ -14,9 +14,11 @@ import numpy as np
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE, PARTNERS
 from gaitsweep.tasks.walkers.statics import CONDITIONED, nearest
 from gaitsweep.tasks.walkers.walker import (
+    DIFFERENTIATED,
     KEYS,
     NUMBERS,
     OF_DRIVE,
+    OF_PASSIVE,
     ONE_LINK,
     Walker,
     WalkerError,
@@ -576,11 +578,13 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `si` and `kneed` (bool), `features` (what some variables are of), `multipliers`
-        (their number), `table` (the walker before `set`), `parameters` (the walker with
-        `set`), `varied` (for each key of the walker that `set` moves, the keys of `set`
-        that do), `tuned` (keys that are
-        changed so that the walker is tuned), `smooth` (keys of `set` with which gaits
+        `si` and `kneed` (bool), `features` (what some variables are of), `driven`
+        (whether more than gravity drives it, so that it may walk on level ground),
+        `multipliers` (their number), `keys` (by how many of `DIFFERENTIATED` measures
+        are differentiated), `table` (the walker before `set`), `parameters` (the walker
+        with `set`), `varied` (for each key of the walker that `set` moves, the keys of
+        `set` that do), `tuned` (keys that are changed so that the walker is tuned),
+        `smooth` (keys of `set` with which gaits
         change smoothly, so that charts may predict them), and of a walker that is or
         may be detuned `way`: the walkers `start` and `end` between which `detuning`
         leads, in words, and both `tables`.
@@ -607,6 +611,8 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "si": walker.si,
         "kneed": walker.knees,
         "features": walker.features,
+        "driven": walker.is_driven,
+        "keys": len(OF_PASSIVE if walker.is_passive else DIFFERENTIATED),
         "multipliers": 4 if walker.knees else 3,
         "table": resolve(given).table(),
         "parameters": walker.table(),

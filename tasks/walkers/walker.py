@@ -29,8 +29,10 @@ NUMBERS = tuple(k for k, kind in KEYS.items() if kind not in ("flag", "text"))
 #: Keys by which a walker is driven or braked, 0 in passive ones.
 OF_HIP = ("hip_stiffness", "hip_damping", "hip_torque")
 OF_DRIVE = ("push_off", *OF_HIP, "hip_rest")
-#: What gaits are differentiated by: the slope, and the numbers of passive walkers.
-DIFFERENTIATED = ("slope", *(key for key in NUMBERS if key not in OF_DRIVE))
+#: What gaits are differentiated by: the slope, and the numbers of walkers, those of what
+#: drives them last.
+OF_PASSIVE = ("slope", *(key for key in NUMBERS if key not in OF_DRIVE))
+DIFFERENTIATED = (*OF_PASSIVE, *OF_DRIVE)
 #: Least and largest value of each number by itself.
 BOUNDS = {
     k: (_ALL[k].get("least", -MAX_SIZE), _ALL[k].get("largest", MAX_SIZE))
@@ -385,9 +387,29 @@ class Walker:
         return _any(self.push_off)
 
     @property
+    def driving_keys(self) -> tuple[str, ...]:
+        """Keys of what drives or brakes it that are not 0."""
+        return tuple(key for key in OF_DRIVE if _any(getattr(self, key)))
+
+    @property
     def is_passive(self) -> bool:
         """Whether nothing but gravity acts."""
         return not (self.has_hip_torque or self.pushes_off)
+
+    @property
+    def forward_torque(self) -> float:
+        """The constant torque between the thighs: a spring that rests at an angle is one
+        that rests with the legs together, and such a torque.
+        """
+        return self.hip_torque + self.hip_stiffness * self.hip_rest
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether more than gravity drives, so that it may walk on level ground: a
+        push-off, or a forward torque between legs with mass.
+        """
+        turns = _any(self.forward_torque > 0) and not self.massless_leg
+        return self.pushes_off or turns
 
     @property
     def features(self) -> tuple[str, ...]:

@@ -201,9 +201,90 @@ def test_a_study_of_curves_over_the_push_off_is_read(tmp_path):
         read(path)
 
 
-def test_a_study_of_branches_has_no_level_ground(tmp_path):
+def test_a_study_of_branches_on_level_ground_is_over_what_drives(tmp_path):
     path = tmp_path / "s.toml"
     text = 'name = "s"\nkind = "branch"\n[walker]\nbase = "B"\npush_off = 0.1\n'
     path.write_text(text + "[axes]\nslope = [-0.01, 0.01]\n")
-    with pytest.raises(StudyError, match="of kind `branch`; got -0.01"):
+    with pytest.raises(StudyError, match="give an axis `push_off` or `hip_torque`"):
         read(path)
+
+
+@pytest.mark.thorough
+def test_archives_differentiate_by_what_drives(tmp_path):
+    """The dimension `key` names what drives where any walker has it; the derivatives are
+    those of differences between gaits.
+    """
+    hip = {"hip_stiffness": 0.05, "hip_rest": 0.1, "hip_torque": 0.002}
+    study = {
+        "name": "keys",
+        "walker": {"base": "B", **hip},
+        "gaits": ["long"],
+        "axes": {"slope": [0.0, 0.01]},
+        "want": {"variables": ["stance_angle", "sensitivities"]},
+    }
+    found = gaitsweep.run(study, jobs=1, archive=tmp_path / "k.nc", quiet=True)
+    by_key = found["stance_angle_by_key"].sel(gait="long")
+    assert np.isnan(by_key.sel(key=["push_off", "hip_damping"])).all()
+    single = gaitsweep.sensitivities(
+        "B", [0.0, 0.01], variables=["stance_angle"], **hip
+    )
+    for key in ("slope", "R", *hip):
+        own = single["stance_angle"].sel(gait="long", key=key)
+        np.testing.assert_allclose(by_key.sel(key=key), own, rtol=1e-9)
+
+    ends = hip["hip_rest"] * np.array([1 - 1e-4, 1 + 1e-4])
+    angles = [
+        solve("B", 0.0, **hip | {"hip_rest": end})["stance_angle"][0] for end in ends
+    ]
+    difference = np.diff(angles) / np.diff(ends)
+    assert float(by_key.sel(slope=0.0, key="hip_rest")) == pytest.approx(
+        difference[0], rel=1e-6
+    )
+    units = found["key_units"].values[list(found["key"].values).index("hip_rest")]
+    assert units == "rad"
+
+
+@pytest.mark.thorough
+def test_archives_of_passive_walkers_differentiate_by_no_drive():
+    passive = gaits("D", 0.01, variables=["sensitivities"])
+    assert "push_off" not in passive["key"]
+
+
+def test_archives_differentiate_by_a_push_off(tmp_path):
+    study = {
+        "name": "pushes",
+        "walker": "D",
+        "gaits": ["long"],
+        "axes": {"slope": [0.0], "push_off": [0.0, 0.1]},
+        "want": {"variables": ["stance_angle", "sensitivities"]},
+    }
+    found = gaitsweep.run(study, jobs=1, archive=tmp_path / "p.nc", quiet=True)
+    by_push = found["stance_angle_by_key"].sel(slope=0.0, gait="long", key="push_off")
+    ends = 0.1 + np.array([-1e-5, 1e-5])
+    angles = [solve("D", 0.0, push_off=end)["stance_angle"][0] for end in ends]
+    assert np.isnan(by_push[0])
+    assert float(by_push[1]) == pytest.approx(np.ptp(angles) / 2e-5, rel=1e-8)
+
+
+def test_a_page_tells_by_which_law_a_push_off_gives_step_lengths(tmp_path):
+    """Short steps of the simplest walker lengthen with the root of the push-off."""
+    study = {
+        "name": "lengths",
+        "walker": "D",
+        "gaits": ["long"],
+        "at": {"step_length": [0.001, 0.0011, 0.0012], "vary": "push_off"},
+        "axes": {"slope": [0.0]},
+        "want": {"variables": ["cost_of_transport"], "figures": ["sought"]},
+    }
+    archive = tmp_path / "l.nc"
+    gaitsweep.run(study, jobs=1, archive=archive, quiet=True)
+    gaitsweep.report(archive, tmp_path)
+    page = (tmp_path / "lengths.html").read_text()
+    assert "as the power 2 of the step length." in page
+    assert "--at step_length=0.001 --vary push_off --slope 0.0" in page
+    figure = gaitsweep.figure(archive, "sought")
+    assert "step length" in {axes.get_xlabel() for axes in figure.axes}
+
+    del study["at"]
+    with pytest.raises(StudyError, match="`sought` is of gaits at values of a measure"):
+        gaitsweep.run(study, archive=tmp_path / "m.nc", quiet=True)

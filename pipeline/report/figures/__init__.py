@@ -25,6 +25,7 @@ from gaitsweep.pipeline.report.figures import (
     parameters,
     ranking,
     searches,
+    sought,
 )
 from gaitsweep.pipeline.report.figures.degrees import add_degrees
 from gaitsweep.pipeline.report.figures.sketch import Sketch
@@ -58,6 +59,7 @@ _DRAWN: dict[str, Callable[..., Sketch | None]] = {
     "cascade": searches.cascade,
     "curves": searches.curves,
     "optimum": optima.optimum,
+    "sought": sought.sought,
 }
 
 

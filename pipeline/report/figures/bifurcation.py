@@ -1,6 +1,6 @@
 """Bifurcation diagrams of orbits (figure 12), and where orbits are chaotic."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,22 +24,27 @@ from gaitsweep.pipeline.report.figures.style import (
     thin,
 )
 from gaitsweep.pipeline.report.source import Line, Source, rows_at
-from gaitsweep.pipeline.report.words import plain, shorten, spaced
+from gaitsweep.pipeline.report.words import (
+    plain,
+    shorten,
+    spaced,
+    symbol,
+    with_unit,
+)
 
 #: An exponent is positive if it exceeds so many of its standard errors.
 _ERRORS = 3
 
 #: What a dot tells: it is one step of an attractor, from which the motion goes on.
 _TIPS = {
-    "slope": "γ (rad)",
     "stance_angle": "θ* of one step (rad)",
     "period": "period",
 }
 
 
 def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
-    """Plot stance angles of successive steps of orbits against slope, with printed and
-    computed landmarks.
+    """Plot stance angles of successive steps of orbits against slope, or what else
+    drives, with printed and computed landmarks.
     """
     table = table[np.isfinite(table["stance_angle"])]
     if table.empty:
@@ -51,7 +56,7 @@ def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
 
     printed = [_near(source, line) for line in lines]
     for axes, line, shown in zip(sketch.panels, lines, printed, strict=True):
-        _draw_orbits(sketch, axes, line, len(table) > SHAPES)
+        _draw_orbits(sketch, source, axes, line, len(table) > SHAPES)
         landmarks.draw_over_slopes(axes, shown)
 
     every = pd.concat(printed, ignore_index=True)
@@ -67,6 +72,8 @@ def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
         printed=landmarks.sentence(every),
         drawn=len(lines),
         every=len(every_line),
+        abscissa=source.along,
+        **source.words_along,
     )
 
 
@@ -77,12 +84,14 @@ def _near(source: Source, line: Line) -> pd.DataFrame:
     return rows[rows["printed"].between(0.8 * slopes.min(), 1.2 * slopes.max())]
 
 
-def _draw_orbits(sketch: Sketch, axes: Axes, line: Line, raster: bool) -> None:
+def _draw_orbits(
+    sketch: Sketch, source: Source, axes: Axes, line: Line, raster: bool
+) -> None:
     """Draw every step of a line's orbits as a dot."""
     rows = line.rows
     ink = WALKERS.get(line.at["walker"], LINE)
     axes.plot(
-        rows["slope"],
+        rows[source.along],
         rows["stance_angle"],
         ".",
         ms=0.9 if len(rows) > 10_000 else 2,
@@ -92,14 +101,21 @@ def _draw_orbits(sketch: Sketch, axes: Axes, line: Line, raster: bool) -> None:
     )
     name = f"{shorten(line.label)}: " if line.label else ""
     set_heading(axes, f"{name}stance angle θ* of successive steps (rad)")
+    seen, command = source.solving(line, thin(rows, 400))
     sketch.mark(
         axes,
-        thin(rows, 400),
+        seen,
         line.label or "orbit",
-        command=line.command,
-        tips=_TIPS,
+        command=command,
+        tips={source.along: _title(source), **_TIPS},
+        x=source.along,
         free=True,
     )
+
+
+def _title(source: Source) -> str:
+    """The symbol of what gaits are followed along, with its unit."""
+    return with_unit(symbol(source.along), source.units(source.along))
 
 
 def _widen(axes: Axes, printed: pd.DataFrame) -> None:
@@ -132,8 +148,8 @@ def _transients(source: Source, table: pd.DataFrame) -> int:
 
 
 def lyapunov(source: Source, table: pd.DataFrame) -> Sketch | None:
-    """Plot the largest Lyapunov exponent of orbits against slope and, where they fall,
-    how long they walk.
+    """Plot the largest Lyapunov exponent of orbits against slope, or what else drives,
+    and, where they fall, how long they walk.
     """
     table = table[table["index"] == 0] if "index" in table else table
     frames = {
@@ -154,39 +170,52 @@ def lyapunov(source: Source, table: pd.DataFrame) -> Sketch | None:
     names = [line.label or source.walker for line in lines]
     colours = inks([line.called for line in lines])
     for axes, (column, frame) in zip(sketch.panels, shown.items(), strict=True):
-        _draw_column(sketch, axes, source.lines_of(frame), column, names, colours)
+        _draw_column(sketch, axes, source, frame, column, names, colours)
     sketch.line_keys(names, colours)
 
+    return sketch.finish(
+        chaos=_chaos(source, lines, names),
+        errors=_ERRORS,
+        abscissa=source.along,
+        **source.words_along,
+    )
+
+
+def _chaos(source: Source, lines: Sequence[Line], names: Sequence[str]) -> str:
+    """Where orbits of lines called so are chaotic, in words."""
     ranges = [chaotic(source, line) for line in lines]
     said = [
-        found.words(name)
+        found.words(name, source.words_along)
         for name, found in zip(names, ranges, strict=True)
         if found is not None
     ]
-    return sketch.finish(chaos="; ".join(said), errors=_ERRORS)
+    return "; ".join(said)
 
 
 def _draw_column(
     sketch: Sketch,
     axes: Axes,
-    lines: Sequence[Line],
+    source: Source,
+    frame: pd.DataFrame,
     column: str,
     names: Sequence[str],
     colours: Sequence[str],
 ) -> None:
-    """Draw a column of each line's table against slope."""
-    tips = {"slope": "γ (rad)", column: spaced(column)}
+    """Draw a column of each line's table against what orbits lie along."""
+    along, lines = source.along, source.lines_of(frame)
+    tips = {along: _title(source), column: spaced(column)}
     for line, name, ink in zip(lines, names, colours, strict=True):
         seen = thin(line.rows[np.isfinite(line.rows[column])], 400)
-        axes.plot(seen["slope"], seen[column], ".", color=ink, ms=2.5)
-        sketch.mark(axes, seen, name, command=line.command, tips=tips, y=column)
-        kept = [c for c in ("slope", column, "standard_error") if c in line.rows]
+        axes.plot(seen[along], seen[column], ".", color=ink, ms=2.5)
+        seen, command = source.solving(line, seen)
+        sketch.mark(axes, seen, name, command=command, tips=tips, x=along, y=column)
+        kept = [c for c in (along, column, "standard_error") if c in line.rows]
         sketch.pieces.append(line.rows[kept].assign(line=line.label))
 
 
 class Chaos(NamedTuple):
-    """Slopes between which orbits of a line are chaotic: the least and the largest,
-    and at how many of those computed between them.
+    """Slopes, or values of what else drives, between which orbits of a line are chaotic:
+    the least and the largest, and at how many of those computed between them.
     """
 
     low: float
@@ -194,12 +223,12 @@ class Chaos(NamedTuple):
     chaotic: int
     between: int
 
-    def words(self, name: str) -> str:
-        """The range in words, of a line called so."""
+    def words(self, name: str, along: Mapping[str, str]) -> str:
+        """The range in words, of a line called so, and of what it lies along."""
         whole = "all" if self.chaotic == self.between else f"{self.chaotic} of the"
         return (
-            f"from {plain(self.low)} to {plain(self.high)} rad at {whole} "
-            f"{self.between} slopes ({name})"
+            f"from {plain(self.low)} to {plain(self.high)}{along['unit']} at {whole} "
+            f"{self.between} {along['values']} ({name})"
         )
 
 
@@ -214,16 +243,18 @@ def chaotic(source: Source, line: Line) -> Chaos | None:
     rows = line.rows
     if "standard_error" not in rows:
         return None
-    rows = rows[rows["slope"] < _loss_of_walking(source, line)]
+    along = source.along
+    if along == "slope":
+        rows = rows[rows["slope"] < _loss_of_walking(source, line)]
     fell = _fallen(source, line)
-    rows = rows[~rows["slope"].isin(fell)]
+    rows = rows[~rows[along].isin(fell)]
 
     is_positive = rows["exponent"] > _ERRORS * rows["standard_error"]
-    found = rows.loc[is_positive, "slope"]
+    found = rows.loc[is_positive, along]
     if found.empty:
         return None
     low, high = float(found.min()), float(found.max())
-    between = int(rows["slope"].between(low, high).sum())
+    between = int(rows[along].between(low, high).sum())
     return Chaos(low, high, len(found), between)
 
 
@@ -235,9 +266,9 @@ def _loss_of_walking(source: Source, line: Line) -> float:
 
 
 def _fallen(source: Source, line: Line) -> pd.Series:
-    """Slopes at which an orbit of a line falls."""
-    table = source.table("survival", "slope", "falls")
+    """Slopes, or values of what else drives, at which an orbit of a line falls."""
+    table = source.table("survival", source.along, "falls")
     if table is None:
         return pd.Series(dtype=float)
     own = rows_at(table, line.at)
-    return own.loc[own["falls"] > 0, "slope"]
+    return own.loc[own["falls"] > 0, source.along]

@@ -26,7 +26,15 @@ from gaitsweep.pipeline.report.figures.style import (
     thin,
 )
 from gaitsweep.pipeline.report.source import Line, Source, rows_at
-from gaitsweep.pipeline.report.words import WORDS, plain, shorten, spaced, yes_or_no
+from gaitsweep.pipeline.report.words import (
+    WORDS,
+    plain,
+    shorten,
+    spaced,
+    symbol,
+    with_unit,
+    yes_or_no,
+)
 
 #: Spectral radius above which it is rounding of one without bound.
 _UNBOUNDED = 1e12
@@ -54,7 +62,7 @@ _AMONG = _Corner(0.12, 1.15, (0.53, 0.09, 0.45, 0.44))
 @dataclass(frozen=True)
 class _Branches:
     """What a locus shows: some of the lines that the archive follows, with the points
-    drawn of each, its special points and its ink.
+    drawn of each, its special points and its ink, and what they are followed `along`.
     """
 
     lines: Sequence[Line]
@@ -63,6 +71,7 @@ class _Branches:
     special: Sequence[pd.DataFrame]
     inks: Sequence[str]
     together: bool
+    along: str
 
     @property
     def count(self) -> int:
@@ -71,8 +80,8 @@ class _Branches:
 
 
 def locus(source: Source, table: pd.DataFrame) -> Sketch:
-    """Plot stance angle against slope along each branch, with special points; one panel
-    per line.
+    """Plot stance angle along each branch against the slope, or what else drives, with
+    special points; one panel per line.
     """
     shown = _data(source, table)
     sketch = _panels(shown)
@@ -81,8 +90,8 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
     _legend(sketch, shown)
     sketch.panels[0].set(xlim=(0, None), ylim=(0, None))  # which all panels share
 
-    enlarged = [_enlarge(sketch, shown, k) for k in range(shown.count)]
-    sketch.figure.supxlabel("slope γ (rad)", fontsize=9.5)
+    enlarged = [_enlarge(sketch, source, shown, k) for k in range(shown.count)]
+    sketch.figure.supxlabel(source.words_along["x"], fontsize=9.5)
     printed, numbered = "", pd.DataFrame()
     if shown.count > 1:
         sketch.figure.supylabel("stance angle θ* (rad)", fontsize=9.5)
@@ -94,13 +103,8 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
             landmarks.draw_at_angles(sketch, sketch.panels[0], source)
         )
 
-    data = sketch.data
-    # At a tangential strike the derivative of the step map has no bound.
-    if "spectral_radius" in data:
-        radius = data["spectral_radius"]
-        data["spectral_radius"] = radius.where(radius < _UNBOUNDED, np.inf)
     return sketch.finish(
-        data,
+        _bounded(sketch.data),
         numbered=bool(len(numbered)),
         enlarged=any(inset is not None for inset in enlarged),
         printed=printed,
@@ -109,7 +113,19 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
         count=shown.count,
         s="s" * (shown.count > 1),
         special=sum(map(len, shown.special)),
+        abscissa=source.along,
+        **source.words_along,
     )
+
+
+def _bounded(data: pd.DataFrame) -> pd.DataFrame:
+    """Points with infinite radii where the derivative of the step map has no bound, as
+    at a tangential strike.
+    """
+    if "spectral_radius" in data:
+        radius = data["spectral_radius"]
+        data["spectral_radius"] = radius.where(radius < _UNBOUNDED, np.inf)
+    return data
 
 
 def _data(source: Source, table: pd.DataFrame) -> _Branches:
@@ -128,16 +144,17 @@ def _data(source: Source, table: pd.DataFrame) -> _Branches:
     return _Branches(
         lines,
         len(every),
-        [list(_runs(line.rows)) for line in lines],
+        [list(_runs(line.rows, source.along)) for line in lines],
         [rows_at(special, line.at) for line in lines],
         inks([line.called for line in lines]) if together else own,
         together,
+        source.along,
     )
 
 
-def _runs(frame: pd.DataFrame) -> Iterator[pd.DataFrame]:
+def _runs(frame: pd.DataFrame, along: str) -> Iterator[pd.DataFrame]:
     """Yield the points drawn of the branches of a line, in parts that a curve joins."""
-    edges = frame["slope"].min(), frame["slope"].max()
+    edges = frame[along].min(), frame[along].max()
     by_branch = [(0, frame)]
     if "branch" in frame:
         by_branch = list(frame.groupby("branch", sort=False))
@@ -145,7 +162,7 @@ def _runs(frame: pd.DataFrame) -> Iterator[pd.DataFrame]:
         # A branch that leaves the window may come back at the same edge: no line joins
         # the two parts.
         at = np.array(
-            [np.isclose(whole["slope"], edge, rtol=1e-9, atol=0) for edge in edges]
+            [np.isclose(whole[along], edge, rtol=1e-9, atol=0) for edge in edges]
         )
         returns = (at & np.roll(at, 1, axis=1)).any(axis=0)
         for _, run in whole.groupby(np.cumsum(returns)):
@@ -177,23 +194,37 @@ def _draw_line(sketch: Sketch, source: Source, shown: _Branches, k: int) -> None
         letter = f"({'abcdefghi'[k]}) " if shown.count > 1 else ""
         title = letter + shorten(line.label, 60 // min(shown.count, 3))
         axes.set_title(title, fontsize=9, pad=4, loc="left")
-    _draw_runs(axes, shown.drawn[k], shown.inks[k])
+    _draw_runs(axes, shown.drawn[k], shown.inks[k], shown.along)
     for rows in shown.drawn[k]:
         computed = rows[~rows["border"].astype(bool)] if "border" in rows else rows
         sketch.pieces.append(computed.drop(columns="border", errors="ignore"))
 
+    _mark_gaits(sketch, axes, source, line)
+    measured.draw(sketch, axes, source, "stance_angle", line.at)
+    _draw_special(sketch, axes, source, line, shown.special[k])
+
+
+def _mark_gaits(sketch: Sketch, axes: Axes, source: Source, line: Line) -> None:
+    """Mark gaits of a line's branches, which tell their values and command."""
     rows = thin(line.rows.dropna(subset=["stance_angle"]), 300)
     if "stable" in rows:
         rows = rows.assign(stable=yes_or_no(rows["stable"]))
+    solved, command = source.solving(line, rows)
     sketch.mark(
         axes,
-        rows,
+        solved,
         line.label or "branch",
-        command=line.command,
-        tips=TIPS | {"stable": "stable"},
+        command=command,
+        tips=_tips(source) | TIPS | {"stable": "stable"},
+        x=source.along,
     )
-    measured.draw(sketch, axes, source, "stance_angle", line.at)
-    _draw_special(sketch, axes, shown.special[k], line.command)
+
+
+def _tips(source: Source) -> dict[str, str]:
+    """What gaits are followed along under the pointer, where it is not the slope."""
+    unit = source.units(source.along)
+    title = with_unit(symbol(source.along), unit)
+    return {} if source.along == "slope" else {source.along: title}
 
 
 def _legend(sketch: Sketch, shown: _Branches) -> None:
@@ -211,7 +242,7 @@ def _legend(sketch: Sketch, shown: _Branches) -> None:
         sketch.dot_key(spaced(kind), **_mark(kind))
 
 
-def _enlarge(sketch: Sketch, shown: _Branches, k: int) -> Axes | None:
+def _enlarge(sketch: Sketch, source: Source, shown: _Branches, k: int) -> Axes | None:
     """Draw the corner at the origin of a panel once more, enlarged, where special
     points crowd there and no curve is in the way.
     """
@@ -219,28 +250,33 @@ def _enlarge(sketch: Sketch, shown: _Branches, k: int) -> Axes | None:
     if shown.together:
         members = list(range(len(shown.lines)))
     corner = _ALONE if shown.count == 1 else _AMONG
-    right = float(axes.get_xlim()[1])
-    near = [_below(shown.special[i], corner.share * right) for i in members]
+    along, low = shown.along, corner.share * float(axes.get_xlim()[1])
+    near = [_below(shown.special[i], low, along) for i in members]
     runs = list(itertools.chain.from_iterable(shown.drawn[i] for i in members))
-    if sum(map(len, near)) < _CROWD or _is_in_the_way(axes, runs, corner.box):
+    if sum(map(len, near)) < _CROWD or _is_in_the_way(axes, runs, corner.box, along):
         return None
 
-    inset = axes.inset_axes(corner.box)
-    crowd = pd.concat(near)
-    inset.set(xlim=(0, corner.margin * crowd["slope"].max()))
-    inset.set(ylim=(0, 1.2 * crowd["stance_angle"].max()))
+    inset = _inset(axes, corner, pd.concat(near), along)
     for i, points in zip(members, near, strict=True):
-        _draw_runs(inset, shown.drawn[i], shown.inks[i])
-        _draw_special(sketch, inset, points, shown.lines[i].command)
+        _draw_runs(inset, shown.drawn[i], shown.inks[i], along)
+        _draw_special(sketch, inset, source, shown.lines[i], points)
     _frame_inset(axes, inset)
     return inset
 
 
-def _draw_runs(axes: Axes, runs: Sequence[pd.DataFrame], ink: str) -> None:
+def _inset(axes: Axes, corner: _Corner, crowd: pd.DataFrame, along: str) -> Axes:
+    """An empty panel in a panel that holds some special points."""
+    inset = axes.inset_axes(corner.box)
+    inset.set(xlim=(0, corner.margin * crowd[along].max()))
+    inset.set(ylim=(0, 1.2 * crowd["stance_angle"].max()))
+    return inset
+
+
+def _draw_runs(axes: Axes, runs: Sequence[pd.DataFrame], ink: str, along: str) -> None:
     """Draw the branches of a line, each gait in its dashes."""
     for rows in runs:
         for gait in rows["gait"].unique():
-            draw_gait(axes, rows, gait, ink)
+            draw_gait(axes, rows, gait, ink, x=along)
 
 
 def _frame_inset(axes: Axes, inset: Axes) -> None:
@@ -257,10 +293,10 @@ def _frame_inset(axes: Axes, inset: Axes) -> None:
     axes.plot(*edge, color=MUTED, lw=0.6, zorder=4)
 
 
-def _below(points: pd.DataFrame, slope: float) -> pd.DataFrame:
-    """Special points at smaller slopes than one."""
-    is_known = {"slope", "stance_angle"} <= set(points.columns)
-    return points[points["slope"] < slope] if is_known else points.iloc[:0]
+def _below(points: pd.DataFrame, value: float, along: str) -> pd.DataFrame:
+    """Special points at smaller slopes than one, or values of what else drives."""
+    is_known = {along, "stance_angle"} <= set(points.columns)
+    return points[points[along] < value] if is_known else points.iloc[:0]
 
 
 def _round_below(value: float) -> float:
@@ -270,13 +306,16 @@ def _round_below(value: float) -> float:
 
 
 def _is_in_the_way(
-    axes: Axes, runs: Sequence[pd.DataFrame], box: tuple[float, float, float, float]
+    axes: Axes,
+    runs: Sequence[pd.DataFrame],
+    box: tuple[float, float, float, float],
+    along: str,
 ) -> bool:
     """Whether a curve passes a box of a panel, or the words at its left."""
     left, low, width, height = box
     (_, right), (_, top) = axes.get_xlim(), axes.get_ylim()
     for rows in runs:
-        x, y = rows["slope"] / right, rows["stance_angle"] / top
+        x, y = rows[along] / right, rows["stance_angle"] / top
         if (x.between(left - 0.1, left + width) & y.between(0, low + height)).any():
             return True
     return False
@@ -294,13 +333,14 @@ def _mark(kind: str) -> dict[str, Any]:
 
 
 def _draw_special(
-    sketch: Sketch, axes: Axes, points: pd.DataFrame, command: str
+    sketch: Sketch, axes: Axes, source: Source, line: Line, points: pd.DataFrame
 ) -> None:
-    if not {"kind", "slope", "stance_angle"} <= set(points.columns) or points.empty:
+    along = source.along
+    if not {"kind", along, "stance_angle"} <= set(points.columns) or points.empty:
         return
     for kind, rows in points.groupby(points["kind"].astype(str), sort=False):
         axes.plot(
-            rows["slope"],
+            rows[along],
             rows["stance_angle"],
             ls="",
             zorder=5,
@@ -316,9 +356,17 @@ def _draw_special(
             points["kind"] != "end_zero_step", 0.0
         ),
     )
-    tips = {"told": "kind", "slope": "γ (rad)", "angle": "θ* (rad)"}
+    tips = {"told": "kind", **_tips(source), "slope": "γ (rad)", "angle": "θ* (rad)"}
+    solved, command = source.solving(line, gaits)
     sketch.mark(
-        axes, gaits, "special point", command=command, tips=tips, y="angle", above=True
+        axes,
+        solved,
+        "special point",
+        command=command,
+        tips=tips,
+        x=along,
+        y="angle",
+        above=True,
     )
 
 

@@ -359,6 +359,7 @@ def _plane(source: Source, table: pd.DataFrame) -> list[str]:
     first.
     """
     others = {*source.line_columns(table), "outcome", "slope", "steps", "swing_rate"}
+    others.add(source.along)
     known = [
         c
         for c in table.columns
@@ -369,7 +370,7 @@ def _plane(source: Source, table: pd.DataFrame) -> list[str]:
 
 def _outcomes_over(source: Source, table: pd.DataFrame, plane: list[str]) -> _Basin:
     """The outcomes of the first line and slope of a table."""
-    columns = [*source.line_columns(table), "slope"]
+    columns = [*source.line_columns(table), source.along]
     same = [c for c in columns if c in table and table[c].nunique() > 1]
     first = table[same].iloc[0].to_dict() if same else {}
     shown = rows_at(table, first)
@@ -382,7 +383,8 @@ def _outcomes_over(source: Source, table: pd.DataFrame, plane: list[str]) -> _Ba
         inks[outcome] = own or next(others)
 
     walking = shown[~shown["outcome"].map(_is_fall)]
-    is_small = 0 < len(walking) < 0.3 * len(shown)
+    is_wide = all(walking[name].nunique() > 1 for name in plane)
+    is_small = is_wide and len(walking) < 0.3 * len(shown)
     window = _window(walking, plane) if is_small else []
     gaits = _points(source, "fixed_points", first, plane)
     manifold = _points(source, "stable_manifold", first, plane)
@@ -482,6 +484,8 @@ def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
     """
     row = table.iloc[0]
     at = source.line_of(table)
+    if source.along in row and source.along != "slope":
+        at[source.along] = float(row[source.along])
     if not (keys := parameters(source, at)) or "slope" not in row:
         return {}
     start = {"slope": float(row["slope"])}

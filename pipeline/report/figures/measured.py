@@ -53,13 +53,16 @@ def draw(
     variable: str,
     at: dict[str, Any] | None = None,
 ) -> None:
-    """Draw the measurements of a variable against slope, if there are any."""
+    """Draw the measurements of a variable against the slope, or what else gaits are
+    followed along, if there are any.
+    """
+    along = source.along
     rows = rows_at(table(source), at or {}, _SAME)
-    if variable not in rows or "slope" not in rows or not rows[variable].notna().any():
+    if variable not in rows or along not in rows or not rows[variable].notna().any():
         return
-    errors = {"xerr": "slope_error", "yerr": f"{variable}_error"}
+    errors = {"xerr": f"{along}_error", "yerr": f"{variable}_error"}
     bars = {key: rows[name].fillna(0.0) for key, name in errors.items() if name in rows}
-    axes.errorbar(rows["slope"], rows[variable], **bars, **_MARK)
+    axes.errorbar(rows[along], rows[variable], **bars, **_MARK)
     sketch.last_key = _KEY
 
 

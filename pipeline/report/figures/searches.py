@@ -100,15 +100,18 @@ def cascade(source: Source, table: pd.DataFrame) -> Sketch | None:
     (axes,) = sketch.panels
     names = [one.line.called if one.line.called else one.name for one in families]
     for k, (one, ink) in enumerate(zip(families, inks(names), strict=True)):
-        _draw_family(sketch, axes, one, ink, MARKERS[k % len(MARKERS)])
+        _draw_family(sketch, source, axes, one, ink, MARKERS[k % len(MARKERS)])
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     sketch.key(f"Feigenbaum's ratio {FEIGENBAUM:.4f}", MUTED, lw=1, ls=DOTTED)
 
-    limits = source.table("accumulation", "slope", "ratio")
+    limits = source.table("accumulation", source.along, "ratio")
     ratios = [] if limits is None else [plain(r, 5) for r in limits["ratio"].dropna()]
     are = "s are" if len(ratios) > 1 else " is"
     sentence = f" The last ratio{are} {', '.join(ratios)}." if ratios else ""
-    return sketch.finish(count=len(families), ratios=sentence)
+    about = source.words_along
+    interval = f"{about['axis']} interval to the next period doubling"
+    about["interval"] = with_unit(interval, source.units(source.along))
+    return sketch.finish(count=len(families), ratios=sentence, **about)
 
 
 def _families(source: Source, table: pd.DataFrame) -> Iterator[_Family]:
@@ -116,25 +119,26 @@ def _families(source: Source, table: pd.DataFrame) -> Iterator[_Family]:
     for line in source.lines_of(table):
         flips = line.rows[line.rows["kind"] == "flip"]
         for family, events in flips.groupby("family", sort=False):
-            slopes = events["slope"].to_numpy()
-            if len(slopes) < 3:
+            values = events[source.along].to_numpy()
+            if len(values) < 3:
                 continue
             data = events.iloc[:-1].assign(
-                number=np.arange(1, len(slopes)),
-                flip=slopes[:-1],
-                distance=np.diff(slopes),
-                gap=np.abs(np.diff(slopes)),
+                number=np.arange(1, len(values)),
+                flip=values[:-1],
+                distance=np.diff(values),
+                gap=np.abs(np.diff(values)),
             )
-            data["next flip"] = slopes[1:]
+            data["next flip"] = values[1:]
             name = ", ".join(filter(None, (line.label, f"period {family}")))
             yield _Family(line, str(family), name, data)
 
 
 def _draw_family(
-    sketch: Sketch, axes: Axes, one: _Family, ink: str, marker: str
+    sketch: Sketch, source: Source, axes: Axes, one: _Family, ink: str, marker: str
 ) -> None:
     """Draw the intervals of a family, with the geometric law through the last."""
-    titles = {name: f"{name} (rad)" for name in ("flip", "next flip", "distance")}
+    unit = source.units(source.along)
+    titles = {name: with_unit(name, unit) for name in ("flip", "next flip", "distance")}
     number, gap = one.data["number"].to_numpy(), one.data["gap"].to_numpy()
     axes.plot(number, gap, marker, color=ink, ms=5, ls="-", lw=0.9)
     law = gap[-1] * FEIGENBAUM ** (number[-1] - number)
@@ -143,11 +147,12 @@ def _draw_family(
 
     told = one.data[[*titles, "number"]].rename(columns=titles)
     sketch.pieces.append(told.assign(line=one.line.label, family=one.family))
+    rows, command = source.solving(one.line, one.data)
     sketch.mark(
         axes,
-        one.data,
+        rows,
         one.name,
-        command=one.line.command,
+        command=command,
         tips=titles,
         x="number",
         y="gap",

@@ -137,13 +137,15 @@ class Sketch:
         data: pd.DataFrame | None = None,
         lines: Sequence[str] = (),
         inks: Sequence[str] = (),
+        abscissa: str = "slope",
         **values: Any,
     ) -> "Sketch":
         """Keep the figure's data, its lines with their inks and the values of its
         words, and write the titles of its axes.
 
         Unless others are given, `count` is the number of its rows, `low` and `high` are
-        the ends of their slopes. Where not `every` line is `drawn`, some are `omitted`.
+        the ends of their slopes, or of their `abscissa`. Where not `every` line is
+        `drawn`, some are `omitted`.
         """
         if self.last_key:
             self.dot_key(**self.last_key)
@@ -151,7 +153,7 @@ class Sketch:
         self.pieces = [
             data.assign(stable=yes_or_no(data["stable"])) if "stable" in data else data
         ]
-        self.values = _known(data, values) | values
+        self.values = _known(data, values, abscissa) | values
         self.lines = [
             (name, VARIABLES[ink]) for name, ink in zip(lines, inks, strict=True)
         ]
@@ -191,18 +193,16 @@ class Sketch:
         )
 
 
-def _known(data: pd.DataFrame, values: Mapping[str, Any]) -> dict[str, Any]:
+def _known(data: pd.DataFrame, values: Mapping[str, Any], along: str) -> dict[str, Any]:
     """Values of a figure's words that follow from its data."""
     known: dict[str, Any] = {
         "count": len(data),
         "omitted": values.get("drawn") != values.get("every"),
     }
-    if "slope" not in data:
+    if along not in data:
         return known
-    known |= {"low": data["slope"].min(), "high": data["slope"].max()}
-    stable = (
-        data[data["stable"] == 1]["slope"] if "stable" in data else data["slope"][:0]
-    )
+    known |= {"low": data[along].min(), "high": data[along].max()}
+    stable = data[data["stable"] == 1][along] if "stable" in data else data[along][:0]
     if len(stable):
         known |= {"stable_low": stable.min(), "stable_high": stable.max()}
     return known

@@ -87,7 +87,8 @@ def addresses(source: Source, table: pd.DataFrame) -> list[str]:
     """Address of the gait of each row of a table, by its line, slope and stance angle;
     empty where there is none.
     """
-    if not {"slope", "stance_angle"} <= set(table.columns):
+    is_known = {"slope", "stance_angle"} <= set(table.columns)
+    if source.along != "slope" or not is_known:
         return [""] * len(table)
     rows = (table.iloc[[k]] for k in range(len(table)))
     return [_address(source.line_of(row), row.iloc[0]) for row in rows]
@@ -101,8 +102,10 @@ def lines(source: Source) -> list[dict[str, Any]]:
     the walker's units, in its order through folds. Lines of tables of initial
     conditions have none: their figures hold the starts. Nor have lines of gaits of
     several steps, from which Newton's method would lead the script to those of one:
-    these fly freely.
+    these fly freely. Of a study along which the walker differs there are none.
     """
+    if source.along != "slope":
+        return []
     chosen = _chosen_lines(source)
     if source.steps > 1:
         chosen = [(line, []) for line, _ in chosen]

@@ -1,0 +1,377 @@
+"""Branches, cascades, orbits and basins over what drives on level ground, from TOML to
+page.
+"""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import gaitsweep
+from gaitsweep import simulate, solve, step_map
+from gaitsweep.pipeline.archive.diff import diff
+from gaitsweep.pipeline.cli.commands import main
+from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.study.parse import parse, read
+from gaitsweep.tasks.fits.feigenbaum import DELTA
+
+PUSHES = {"from": 1e-3, "to": 0.9, "n": 60}
+STATE = ["stance_angle", "stance_rate", "thigh_rate"]
+
+
+def study(kind, walker="D", slope=(0.0,), push_off=PUSHES, options=None, **more):
+    axes = {"slope": list(slope), "push_off": push_off}
+    about = {"name": kind, "kind": kind, "walker": walker, "axes": axes}
+    return about | ({"options": options} if options else {}) | more
+
+
+def run(folder, table):
+    archive = folder / f"{table['name']}.nc"
+    gaitsweep.run(table, jobs=1, archive=archive, quiet=True)
+    return archive
+
+
+def table_of(archive, group):
+    with xr.open_dataset(archive, group=group) as rows:
+        return rows.load().to_dataframe()
+
+
+@pytest.fixture(scope="module")
+def branches(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("branches")
+    wanted = {"figures": ["locus"]}
+    return run(folder, study("branch", walker=["B", "D"], want=wanted))
+
+
+def points_of(archive, walker, kind):
+    points = table_of(archive, "special_points")
+    return points[(points["walker"] == walker) & (points["kind"] == kind)]
+
+
+@pytest.mark.parametrize("walker", ["B", "D"])
+def test_flips_over_the_push_off_are_gaits_with_a_multiplier_of_minus_one(
+    branches, walker
+):
+    """Single gaits are solved at their push-offs, which knows of no flip."""
+    flips = points_of(branches, walker, "flip")
+    assert len(flips) > 1
+    for flip in flips.itertuples():
+        found = solve(walker, 0.0, push_off=flip.push_off)
+        nearest = (found["stance_angle"] - flip.stance_angle).abs().idxmin()
+        gait = found.loc[nearest]
+        assert gait["stance_angle"] == pytest.approx(flip.stance_angle, rel=1e-12)
+        assert min(abs(m + 1) for m in gait["multipliers"]) < 1e-12
+
+
+def test_a_fold_over_the_push_off_is_where_its_derivative_vanishes(tmp_path):
+    """At a fold the step map, flown from the state alone, has a multiplier of 1; gaits
+    lie on one side of it.
+    """
+    archive = run(tmp_path, study("branch", "E", [-0.01]))
+    points = table_of(archive, "special_points")
+    folds = points[points["kind"] == "fold"]
+    assert len(folds) == 4
+    fold = folds.iloc[folds["push_off"].argmin()]
+    assert fold["error_bound"] < 1e-12
+
+    push = float(fold["push_off"])
+    state = [float(fold[name]) for name in STATE]
+    at = step_map("E", -0.01, state, push_off=push)
+    assert min(abs(at.eigenvalues - 1)) < 1e-9
+    assert len(solve("E", -0.01, push_off=push * (1 + 1e-6))) == 2
+    assert len(solve("E", -0.01, push_off=push * (1 - 1e-6))) == 0
+
+
+def test_short_steps_vanish_at_a_finite_push_off(branches):
+    """Squares of the angles of gaits beside that impulse lead to it on a line."""
+    (limit,) = points_of(branches, "B", "end_zero_step")["push_off"]
+    beside = limit * (1 + np.array([1e-6, 2e-6]))
+    squares = []
+    for push in beside:
+        found = solve("B", 0.0, push_off=push)
+        squares.append(found["stance_angle"].min() ** 2)
+    rate = (squares[1] - squares[0]) / (beside[1] - beside[0])
+    assert beside[0] - squares[0] / rate == pytest.approx(limit, rel=1e-9)
+    assert table_of(branches, "special_points")["kind"].eq("fold").sum() == 0
+
+
+@pytest.mark.parametrize("walker", ["B", "D"])
+def test_branches_cross_within_the_bounds_of_both(branches, walker):
+    """The long and the short gait of level ground become one: each branch has its own
+    equations there, which are singular.
+    """
+    points = points_of(branches, walker, "branch_point")
+    first, second = points.itertuples()
+    allowed = first.push_off * (first.error_bound + second.error_bound)
+    assert abs(first.push_off - second.push_off) < allowed < 1e-6
+
+
+def test_contact_is_lost_where_the_least_force_vanishes(branches):
+    for lost in points_of(branches, "D", "end_contact_lost").itertuples():
+        found = solve("D", 0.0, push_off=lost.push_off)
+        nearest = (found["stance_angle"] - lost.stance_angle).abs().idxmin()
+        assert abs(found["least_normal_force"][nearest]) < 1e-9
+
+
+def test_an_archive_over_the_push_off_holds_it_by_its_name(branches, capsys):
+    with xr.open_dataset(branches) as whole:
+        assert whole.attrs["along"] == "push_off"
+        assert dict(whole.sizes)["slope"] == 1
+    rows = table_of(branches, "branches")
+    assert rows["push_off"].between(1e-3, 0.9 + 1e-15).all()
+    assert (rows["slope"] == 0).all()
+    one = rows.iloc[len(rows) // 3]
+    found = solve(one["walker"], 0.0, push_off=float(one["push_off"]))
+    assert (found["stance_angle"] / one["stance_angle"] - 1).abs().min() < 1e-12
+    assert main(["verify", str(branches)]) == 0
+    assert main(["diff", str(branches), str(branches)]) == 0
+    capsys.readouterr()
+
+
+def test_a_page_draws_branches_over_the_push_off(branches, tmp_path):
+    gaitsweep.report(branches, tmp_path)
+    page = (tmp_path / "branch.html").read_text()
+    assert "against push off along branches" in page
+    assert "--set push_off=" in page
+    figure = gaitsweep.figure(branches, "locus")
+    assert figure.get_supxlabel() == "push off"
+
+
+def test_a_cascade_over_the_push_off_follows_feigenbaum(tmp_path, branches):
+    options = {"periods": 32, "steps": 0}
+    archive = run(tmp_path, study("cascade", push_off=[0.05, 0.3], options=options))
+    events = table_of(archive, "cascade")
+    flips = events[events["kind"] == "flip"]["push_off"].to_numpy()
+    assert len(flips) == 6
+    ratios = np.diff(flips)[:-1] / np.diff(flips)[1:]
+    assert ratios[-1] == pytest.approx(DELTA, rel=3e-3)
+
+    # The first is that of the branch, located by other equations.
+    first = points_of(branches, "D", "flip")["push_off"].min()
+    assert flips[0] == pytest.approx(first, rel=1e-12)
+    limit = table_of(archive, "accumulation").iloc[0]
+    assert limit["low"] < limit["push_off"] < limit["high"]
+
+
+@pytest.fixture(scope="module")
+def orbits(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("orbits")
+    pushes = {"from": 0.13, "to": 0.15, "n": 6}
+    options = {"starts": 2, "transient": 300, "steps": 40, "shown": 4}
+    wanted = {"figures": ["bifurcation", "exponents"]}
+    return run(folder, study("orbit", push_off=pushes, options=options, want=wanted))
+
+
+def test_orbits_over_the_push_off_double_at_the_flip(orbits, branches):
+    with xr.open_dataset(orbits, group="orbits") as found:
+        angles = found["stance_angle"].load()
+    assert dict(angles.sizes) == {"slope": 1, "push_off": 6, "start": 2, "step": 4}
+    spread = np.ptp(angles.values, axis=-1).max(axis=(0, 2))
+    flip = points_of(branches, "D", "flip")["push_off"].min()
+    is_single = angles["push_off"].values < flip
+    assert 0 < is_single.sum() < 6
+    assert (spread[is_single] < 1e-4).all()
+    assert (spread[~is_single] > 1e-3).all()
+
+
+def test_steps_of_orbits_over_the_push_off_are_those_of_a_simulation(orbits):
+    with xr.open_dataset(orbits, group="orbits") as found:
+        at = found.isel(slope=0, push_off=4, start=1).load()
+    state = [float(at[name][0]) for name in STATE]
+    flown = simulate("D", 0.0, state, 3, push_off=float(at["push_off"]))
+    np.testing.assert_allclose(
+        flown["stance_angle"].values[:3], at["stance_angle"].values[:3], rtol=1e-9
+    )
+
+
+def test_pages_of_orbits_over_the_push_off_name_it(orbits, tmp_path):
+    gaitsweep.report(orbits, tmp_path)
+    page = (tmp_path / "orbit.html").read_text()
+    assert "stance angles against push off from 0.13 to 0.15" in page
+    assert 'id="lines"' not in page
+
+
+def test_archives_over_other_push_offs_are_compared_at_those_they_share(
+    orbits, tmp_path
+):
+    pushes = [0.13, 0.134, 0.138]
+    options = {"starts": 2, "transient": 300, "steps": 40, "shown": 4}
+    other = run(tmp_path, study("orbit", push_off=pushes, options=options))
+    said = [*diff(orbits, other)]
+    assert any("`orbits/push_off` are only in" in each for each in said)
+    assert not any("stance_angle" in each for each in said)
+
+
+@pytest.mark.thorough
+def test_an_orbit_of_a_walker_with_a_drive_is_on_any_slope(tmp_path):
+    """Level ground and uphill beside slopes that lead down."""
+    table = study("orbit", {"base": "D", "push_off": 0.1}, [-0.001, 0.0, 0.001])
+    del table["axes"]["push_off"]
+    table["options"] = {"starts": 1, "transient": 300, "steps": 8, "shown": 2}
+    archive = run(tmp_path, table)
+    with xr.open_dataset(archive, group="orbits") as found:
+        angles = found["stance_angle"].load()
+    for slope in (-0.001, 0.0, 0.001):
+        single = solve("D", slope, push_off=0.1).set_index("gait").loc["long"]
+        stored = angles.sel(slope=slope).values.ravel()
+        np.testing.assert_allclose(stored, single["stance_angle"], rtol=1e-7)
+
+
+def test_basins_over_the_push_off_hold_its_gaits(tmp_path):
+    options = {"size": 12, "steps": 20}
+    table = study("basin", push_off=[0.1, 0.12], options=options)
+    archive = run(tmp_path, table | {"want": {"figures": ["basin"]}})
+    gaits = table_of(archive, "fixed_points")
+    for push in (0.1, 0.12):
+        own = gaits[(gaits["push_off"] == push) & (gaits["gait"] == "long")]
+        single = solve("D", 0.0, push_off=push).set_index("gait").loc["long"]
+        assert float(own["stance_angle"].iloc[0]) == pytest.approx(
+            single["stance_angle"], rel=1e-12
+        )
+    gaitsweep.report(archive, tmp_path)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("walker", "axis", "values", "slopes"),
+    [
+        ("A", "push_off", {"from": 1.0, "to": 40.0, "adaptive": 1e-3}, [0.0]),
+        ("B", "push_off", {"from": 1e-6, "to": 1.0, "n": 20}, [0.01]),
+        ({"base": "B", "push_off": 0.1}, "hip_torque", [1e-5, 0.05], [0.0, -0.005]),
+    ],
+)
+def test_gaits_of_branches_over_a_drive_are_single_gaits(
+    walker, axis, values, slopes, tmp_path
+):
+    """In SI, over a torque, on slopes that lead down; thinly or by what they look like."""
+    table = study("branch", walker, slopes)
+    table["axes"] = {"slope": slopes, axis: values}
+    rows = table_of(run(tmp_path, table), "branches")
+    rng = np.random.default_rng(32)
+    keys = {} if isinstance(walker, str) else {"push_off": walker["push_off"]}
+    name = walker if isinstance(walker, str) else walker["base"]
+    for row in rows.iloc[rng.choice(len(rows), 4)].itertuples():
+        drive = {axis: getattr(row, axis)}
+        found = solve(name, row.slope, **keys | drive)
+        assert (found["stance_angle"] / row.stance_angle - 1).abs().min() < 1e-10
+
+
+@pytest.mark.thorough
+def test_gaits_of_two_steps_are_followed_over_the_push_off(tmp_path):
+    table = study("branch", push_off=[0.13, 0.16], options={"steps": 2})
+    rows = table_of(run(tmp_path, table), "branches")
+    row = rows.iloc[len(rows) // 2]
+    found = solve("D", 0.0, push_off=float(row["push_off"]), steps=2)
+    assert (found["stance_angle"] / row["stance_angle"] - 1).abs().min() < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {"push_off": [0.0, 0.2]},
+            "`push_off` must be > 0 where gaits are followed over it; got 0.0 "
+            "(s.toml, axes.push_off).",
+        ),
+        (
+            {"push_off": [0.1]},
+            "The values of `push_off` of a `branch` are a window: give at least two; "
+            "got 0.1 (s.toml, axes.push_off).",
+        ),
+        (
+            {"slope": [-0.01, 0.01]},
+            "got -0.01: on level ground and uphill give no slopes above 0 beside these",
+        ),
+        ({"kind": "design"}, "in studies of kind `design`; got 0"),
+        (
+            {"want": {"claims": ["E2"]}},
+            "`E2` is of gaits over slopes, and these are followed over `push_off`",
+        ),
+        (
+            {"want": {"figures": ["angles"]}},
+            "`angles` is of gaits over slopes, and these are followed over `push_off`",
+        ),
+        (
+            {"kind": "orbit", "push_off": {"from": 0.1, "to": 0.2, "adaptive": 1e-3}},
+            '`adaptive` is for studies of kind "branch"',
+        ),
+        (
+            {
+                "slope": [0.01, 0.02],
+                "push_off": {"from": 0.1, "to": 0.2, "adaptive": 1e-3},
+            },
+            "`adaptive` is of the axis along which gaits are followed, `slope` "
+            "(s.toml, axes.push_off.adaptive).",
+        ),
+    ],
+)
+def test_wrong_studies_over_a_drive_are_refused_in_a_line(changes, said, tmp_path):
+    more = {key: changes[key] for key in ("slope", "push_off") if key in changes}
+    table = study(changes.get("kind", "branch"), **more)
+    table |= {key: changes[key] for key in changes if key == "want"}
+    with pytest.raises(StudyError, match=re.escape(said)) as raised:
+        parse(table, "", tmp_path / "s.toml")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_study_says_along_what_its_gaits_are_followed(tmp_path):
+    path = tmp_path / "s.toml"
+    for kind, slope, key, along in (
+        ("branch", "[0.0]", "push_off", "push_off"),
+        ("branch", "[0.0, -0.01]", "push_off", "push_off"),
+        ("branch", "[0.01]", "push_off", "push_off"),
+        ("branch", "[0.01, 0.02]", "push_off", "slope"),
+        ("orbit", "[0.0]", "hip_torque", "hip_torque"),
+        ("orbit", "[0.01]", "push_off", "slope"),
+        ("grid", "[0.0]", "push_off", "slope"),
+    ):
+        head = f'name = "s"\nkind = "{kind}"\nwalker = "B"\n[axes]\nslope = {slope}\n'
+        path.write_text(f"{head}{key} = [0.01, 0.02]\n")
+        assert read(path).along == along
+
+
+@pytest.mark.parametrize("keys", [{"hip_torque": -0.01}, {"hip_stiffness": 0.1}])
+def test_what_only_brakes_is_no_drive(keys, tmp_path):
+    with pytest.raises(StudyError, match="a walker needs a `push_off` or a `hip_torq"):
+        solve("B", 0.0, **keys)
+    table = study("grid", {"base": "B", **keys})
+    del table["axes"]["push_off"]
+    with pytest.raises(StudyError, match="for passive walkers; got 0: on level ground"):
+        parse(table, "", tmp_path / "s.toml")
+
+
+def spring_curves():
+    plane = {"hip_rest": [0.0, 0.3], "hip_stiffness": [0.0, 0.2]}
+    options = {"kinds": [], "levels": {"froude_speed": 0.15}, "plane": plane}
+    table = study("curve", "B", options=options)
+    del table["axes"]["push_off"]
+    return table
+
+
+def test_curves_over_a_spring_that_rests_at_an_angle_are_of_a_driven_walker(tmp_path):
+    assert parse(spring_curves(), "", tmp_path / "s.toml").is_driven
+
+
+@pytest.mark.thorough
+def test_a_spring_that_rests_at_an_angle_drives_curves_on_level_ground(tmp_path):
+    table = spring_curves()
+    rows = table_of(run(tmp_path, table), "curves")
+    row = rows.iloc[len(rows) // 2]
+    keys = {row[f"{name}key"]: float(row[f"{name}value"]) for name in ("", "other_")}
+    found = solve("B", 0.0, **keys)
+    nearest = (found["stance_angle"] - row["stance_angle"]).abs().idxmin()
+    assert found["froude_speed"][nearest] == pytest.approx(0.15, rel=1e-9)
+
+
+def test_a_slope_that_was_rounded_to_0_is_one(tmp_path):
+    gait = solve("B", 4e-4).set_index("gait").loc["long"]
+    file = tmp_path / "s.csv"
+    row = ",".join(f"{gait[name]:.3f}" for name in ["slope", *STATE])
+    file.write_text(f"slope,{','.join(STATE)}\n{row}\n")
+    (judged,) = gaitsweep.check(file, "B").itertuples()
+    assert judged.is_gait
+    assert "its slope, 0, which may have been 0.0004" in judged.reason
+    with pytest.raises(StudyError, match="a walker needs a `push_off` or a `hip_torq"):
+        gaitsweep.check(pd.read_csv(file)[STATE], "B", slope=0.0)
