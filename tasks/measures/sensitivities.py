@@ -1,19 +1,18 @@
 """Derivatives of the measures of a gait by slope and by the keys of its walker.
 
 The implicit function theorem gives how a gait moves with a key p: of its equations
-G(w, p) = 0, dw/dp = -G_w^-1 G_p. A measure M(w, p) then has the derivative along that
-direction, M_w dw/dp + M_p. G_w and the derivative of G by slope are exact; G_p, and
-derivatives along directions, are differences over four points, whose error is of the
-fourth order.
+G(w, p) = 0, dw/dp = -G_w^-1 G_p. A measure M(w, p) then has the derivative M_w dw/dp +
+M_p. G_w and the derivative of G by slope are exact; G_p, M_w and M_p are differences
+over six points, whose error is of the sixth order.
 
-In shapes, n counts gaits, c the unknowns of one (`tasks.branches.joint`), u those and a
-key.
+In shapes, n counts gaits, c the unknowns Z of one (`tasks.branches.joint`), r measures.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from gaitsweep.tasks.contract.registry import BY_KEY, SENSITIVITIES, VARIABLES
 from gaitsweep.tasks.gaits.polish import Polished
 from gaitsweep.tasks.measures.levels import measures, measures_at
 from gaitsweep.tasks.mechanics.arrays import Coordinates
-from gaitsweep.tasks.mechanics.sums import norm
+from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import walkers_over
 from gaitsweep.tasks.walkers.walker import (
@@ -37,13 +36,18 @@ from gaitsweep.tasks.walkers.walker import (
 
 #: Derivatives of a function by its values at multiples of a step, with their weights
 #: over the step: where it is defined on both sides, and beyond a least value.
-_CENTRAL = np.array([-2.0, -1.0, 1.0, 2.0]), np.array([1.0, -8.0, 8.0, -1.0]) / 12
-_FORWARD = np.arange(5.0), np.array([-25.0, 48.0, -36.0, 16.0, -3.0]) / 12
+_CENTRAL = (
+    np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0]),
+    np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 60,
+)
+_FORWARD = (
+    np.arange(7.0),
+    np.array([-147.0, 360.0, -450.0, 400.0, -225.0, 72.0, -10.0]) / 60,
+)
 _Stencil = tuple[np.ndarray, np.ndarray]
-#: The step: of a key over its length, and of a gait in its unknowns.
+#: The step, of a gait in its unknowns and of a key over its length, on which gaits may
+#: depend a hundred times as much.
 _STEP = 1e-4
-#: Unknowns change by more than that for gaits that hardly depend on a key.
-_LEAST_MOVE = 1.0
 
 SLOPE = "slope"
 Measured = dict[str, np.ndarray]
@@ -117,136 +121,133 @@ def _size(name: str, walker: Walker) -> float:
     return 1.0 if kind is None else sizes[kind]
 
 
-def by_slope(
-    problem: Problem, Z: Coordinates, of_gait: np.ndarray, names: Sequence[str]
-) -> Measured:
-    """Return the derivatives of measures by slope.
+@dataclass(frozen=True)
+class _Neighbourhood:
+    """Gaits with their measures to first order in their unknowns.
 
-    Parameters
+    Attributes
     ----------
     problem : Problem
         Of one walker, over slopes.
     Z : ndarray, shape (c, n)
-        Its gaits.
-    of_gait : ndarray, shape (c - 1, c, n)
-        Derivative of their equations by Z.
+        The gaits.
     names : sequence of str
-        Of `tasks.measures.levels.measures`.
-
-    Returns
-    -------
-    dict of ndarray, shape (n,) [the walker's units, over rad]
-        NaN where a gait is at a fold.
+        Of r measures.
+    of_gait : ndarray, shape (c - 1, c, n)
+        Derivative of the gaits' equations by Z.
+    of_measures : ndarray, shape (r, c, n)
+        That of the measures.
     """
-    equations = Equations(problem)
-    moved = _moved(of_gait[:, :-1], of_gait[:, -1])
-    direction = np.vstack([moved, np.ones((1, Z.shape[1]))])
-    by_log_slope = _measures_along(equations, Z, direction, names, _CENTRAL)
-    return {name: values / np.exp(Z[-1]) for name, values in by_log_slope.items()}
 
+    problem: Problem
+    Z: Coordinates
+    names: Sequence[str]
+    of_gait: np.ndarray
+    of_measures: np.ndarray
 
-def by_key(
-    problem: Problem,
-    Z: Coordinates,
-    of_gait: np.ndarray,
-    key: KeyOfWalker,
-    names: Sequence[str],
-) -> Measured:
-    """Return the derivatives of measures by a key of the walker, at a fixed slope.
+    @classmethod
+    def of(
+        cls, problem: Problem, Z: Coordinates, names: Sequence[str]
+    ) -> _Neighbourhood:
+        """Differentiate gaits and measures by Z, the latter by differences."""
+        equations = Equations(problem)
+        of_gait = equations.at(Z).derivative
+        of_measures = np.empty((len(names), *Z.shape))
+        for unknown in range(len(Z)):
+            of_measures[:, unknown] = _differences(
+                partial(_measured, names), equations, Z, unknown, _CENTRAL
+            )
+        return cls(problem, Z, names, of_gait, of_measures)
 
-    Parameters
-    ----------
-    problem, Z, of_gait, names
-        As for `by_slope`.
-    key : KeyOfWalker
+    def by_slope(self) -> Measured:
+        """Derivatives of measures by slope [the walker's units, over rad]."""
+        by_log_slope = self._in_all(self.of_gait[:, -1], self.of_measures[:, -1])
+        return self._named(by_log_slope / np.exp(self.Z[-1]))
 
-    Returns
-    -------
-    dict of ndarray, shape (n,) [the walker's units, over those of the key]
-        NaN where a gait is at a fold.
+    def by_key(self, key: KeyOfWalker) -> Measured:
+        """Derivatives of measures by a key of the walker, at a fixed slope [the walker's
+        units, over those of the key].
 
-    Raises
-    ------
-    WalkerError
-        If there is no walker beside its own, or those beside it have gaits with other
-        unknowns, as feet without mass have.
-    """
-    keys = Keys.of_one(key.name, key.walker_at, *key.range)
-    equations = Equations(keys).over(problem.drive)
-    if equations.problem.m != problem.m:
-        why = "is special: gaits of the walkers beside it have other unknowns"
-        raise WalkerError(key.name, key.value, why)
+        Raises
+        ------
+        WalkerError
+            If there is no walker beside its own, or those beside it have gaits with
+            other unknowns, as feet without mass have.
+        """
+        keys = Keys.of_one(key.name, key.walker_at, *key.range)
+        equations = Equations(keys).over(self.problem.drive)
+        if equations.problem.m != self.problem.m:
+            why = "is special: gaits of the walkers beside it have other unknowns"
+            raise WalkerError(key.name, key.value, why)
 
-    scale = keys.scale[0]
-    n = Z.shape[1]
-    X = np.vstack([Z, np.full((1, n), key.value / scale)])
-    only_key = np.zeros(X.shape)
-    only_key[-1] = 1.0
-    is_least = key.value - 2 * _STEP * scale < keys.low[0]
-    stencil = _FORWARD if is_least else _CENTRAL
-    step = np.full(n, _STEP)
-    by_value = _along(_residual, equations, X, only_key, step, stencil)
+        scale = keys.scale[0]
+        own = np.full((1, self.Z.shape[1]), key.value / scale)
+        is_least = key.value + _CENTRAL[0][0] * _STEP * scale < keys.low[0]
+        stencil = _FORWARD if is_least else _CENTRAL
+        both = _differences(
+            partial(_residual_and_measured, self.names),
+            equations,
+            np.vstack([self.Z, own]),
+            len(self.Z),
+            stencil,
+        )
+        residual, measures = np.split(both, [len(self.Z) - 1])
+        return self._named(self._in_all(residual, measures) / scale)
 
-    direction = only_key.copy()
-    direction[: len(Z) - 1] = _moved(of_gait[:, :-1], by_value)
-    by_share = _measures_along(equations, X, direction, names, stencil)
-    return {name: values / scale for name, values in by_share.items()}
+    def _in_all(self, by_residual: np.ndarray, by_measures: np.ndarray) -> np.ndarray:
+        """Derivatives (r, n) of measures of gaits by what changes their equations
+        (c - 1, n) and, of a gait that does not move, its measures (r, n).
+        """
+        moved = _moved(self.of_gait[:, :-1], by_residual)
+        return by_measures + matvec(self.of_measures[:, :-1], moved)
+
+    def _named(self, values: np.ndarray) -> Measured:
+        return dict(zip(self.names, values, strict=True))
 
 
 def _moved(by_w: np.ndarray, by_other: np.ndarray) -> np.ndarray:
     """How gaits move with another unknown: -G_w^-1 G_p, shape (c - 1, n); NaN where the
     equations are singular.
     """
-    moved = np.full(by_other.shape, np.nan)
-    for lane in range(by_other.shape[1]):
-        try:
-            moved[:, lane] = np.linalg.solve(by_w[..., lane], -by_other[:, lane])
-        except np.linalg.LinAlgError:
-            continue
-    return moved
-
-
-def _measures_along(
-    equations: Equations,
-    X: Coordinates,
-    direction: Coordinates,
-    names: Sequence[str],
-    stencil: _Stencil,
-) -> Measured:
-    """Derivatives of measures along directions (u, n)."""
-
-    def values(at: Evaluation) -> np.ndarray:
-        measured = measures_at(names, at)
-        return np.stack([measured[name] for name in names])
-
-    step = _STEP / np.maximum(_LEAST_MOVE, norm(direction))
-    derivatives = _along(values, equations, X, direction, step, stencil)
-    return dict(zip(names, derivatives, strict=True))
+    matrices, values = np.moveaxis(by_w, -1, 0), by_other.T[..., None]
+    try:
+        return -np.linalg.solve(matrices, values)[..., 0].T
+    except np.linalg.LinAlgError:
+        n = len(matrices)
+        if n == 1:
+            return np.full(by_other.shape, np.nan)
+        each = [_moved(by_w[..., [k]], by_other[:, [k]]) for k in range(n)]
+        return np.hstack(each)
 
 
 # A gait beside one at which strikes are tangential may not be.
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
-def _along(
+def _differences(
     function: Callable[[Evaluation], np.ndarray],
     equations: Equations,
     X: Coordinates,
-    direction: Coordinates,
-    step: np.ndarray,
+    unknown: int,
     stencil: _Stencil,
 ) -> np.ndarray:
-    """Derivatives (r, n) of a function (r, n) of steps along directions (u, n)."""
+    """Derivatives (r, n) of a function (r, n) of steps by one unknown."""
     places, weights = stencil
-    u, n = X.shape
-    shifts = places[None, :, None] * (step * direction)[:, None]
-    points = (X[:, None] + shifts).reshape(u, -1)
+    n = X.shape[1]
+    points = np.tile(X, len(places))
+    points[unknown] += _STEP * np.repeat(places, n)
     lanes = np.tile(np.arange(n), len(places))
     values = function(equations.some(lanes).evaluate(points))
-    values = values.reshape(len(values), len(places), n)
-    return np.asarray(np.einsum("k,rkn->rn", weights, values) / step)
+    beside = values.reshape(len(values), len(places), n)
+    weighted = (weight * beside[:, k] for k, weight in enumerate(weights))
+    return total(weighted) / _STEP
 
 
-def _residual(at: Evaluation) -> np.ndarray:
-    return at.residual
+def _measured(names: Sequence[str], at: Evaluation) -> np.ndarray:
+    measured = measures_at(names, at)
+    return np.stack([measured[name] for name in names])
+
+
+def _residual_and_measured(names: Sequence[str], at: Evaluation) -> np.ndarray:
+    return np.vstack([at.residual, _measured(names, at)])
 
 
 def differentiated(
@@ -321,16 +322,27 @@ def at_gaits(
 
     Parameters
     ----------
-    problem, Z, names
-        As for `by_slope`.
+    problem : Problem
+        Of one walker, over slopes.
+    Z : ndarray, shape (c, n)
+        Its gaits.
     keys : sequence of KeyOfWalker
+    names : sequence of str
+        Of `tasks.measures.levels.measures`.
+
+    Returns
+    -------
+    derivatives : dict of dict of ndarray, shape (n,)
+        By the names of the slope and of keys, those of each measure [the walker's units,
+        over rad or those of the key]; NaN where a gait is at a fold.
+    absent : dict of str
     """
-    of_gait = Equations(problem).at(Z).derivative
-    derivatives = {SLOPE: by_slope(problem, Z, of_gait, names)}
+    gaits = _Neighbourhood.of(problem, Z, names)
+    derivatives = {SLOPE: gaits.by_slope()}
     absent = {}
     for key in keys:
         try:
-            derivatives[key.name] = by_key(problem, Z, of_gait, key, names)
+            derivatives[key.name] = gaits.by_key(key)
         except WalkerError as error:
             absent[key.name] = str(error)
     return derivatives, absent
