@@ -10,18 +10,19 @@ In shapes, n counts gaits, c the unknowns Z of one (`tasks.branches.joint`), r m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from gaitsweep.tasks.branches.equations import Equations, Keys
+from gaitsweep.tasks.branches.conditions import Condition
+from gaitsweep.tasks.branches.equations import Equations, Keys, sensitivity
 from gaitsweep.tasks.branches.joint import Evaluation
 from gaitsweep.tasks.contract.registry import BY_KEY, SENSITIVITIES, VARIABLES
 from gaitsweep.tasks.gaits.polish import Polished
 from gaitsweep.tasks.measures.levels import measures, measures_at
-from gaitsweep.tasks.mechanics.arrays import Coordinates
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait
 from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import walkers_over
@@ -33,23 +34,34 @@ from gaitsweep.tasks.walkers.walker import (
     Walker,
     WalkerError,
 )
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
-#: Derivatives of a function by its values at multiples of a step, with their weights
-#: over the step: where it is defined on both sides, and beyond a least value.
-_CENTRAL = (
+
+@dataclass(frozen=True)
+class _Stencil:
+    """A derivative of a function by its values at multiples of a step: of a gait in its
+    unknowns, and of a key over its length.
+    """
+
+    places: np.ndarray
+    weights: np.ndarray
+    step: float
+
+
+#: Where a function is defined on both sides: gaits may depend on a key a hundred times
+#: as much as on its length. And beyond a least value, of a mass or a radius.
+_CENTRAL = _Stencil(
     np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0]),
     np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 60,
+    1e-4,
 )
-_FORWARD = (
+_FORWARD = _Stencil(
     np.arange(7.0),
     np.array([-147.0, 360.0, -450.0, 400.0, -225.0, 72.0, -10.0]) / 60,
+    1e-3,
 )
-_Stencil = tuple[np.ndarray, np.ndarray]
-#: The step, of a gait in its unknowns and of a key over its length, on which gaits may
-#: depend a hundred times as much.
-_STEP = 1e-4
 
-SLOPE = "slope"
+SLOPE, _RADIUS = "slope", "spectral_radius"
 Measured = dict[str, np.ndarray]
 
 
@@ -91,6 +103,21 @@ class KeyOfWalker:
         why = f"has no walkers beside {self.value:.6g}"
         raise WalkerError(self.name, self.value, why)
 
+    def unknown(self, problem: Problem) -> Keys:
+        """The key as an unknown of the gaits of a problem's walker.
+
+        Raises
+        ------
+        WalkerError
+            If there is no walker beside its own, or those beside it have gaits with
+            other unknowns, as feet without mass have.
+        """
+        keys = Keys.of_one(self.name, self.walker_at, *self.range)
+        if keys.structure.dimension != problem.structure.dimension:
+            why = "is special: gaits of the walkers beside it have other unknowns"
+            raise WalkerError(self.name, self.value, why)
+        return keys
+
     def _are_walkers(self, low: float, high: float) -> bool:
         try:
             for value in (low, high):
@@ -122,6 +149,76 @@ def _size(name: str, walker: Walker) -> float:
 
 
 @dataclass(frozen=True)
+class Rows:
+    """What is differentiated of gaits, r rows: measures that are smooth and, for the
+    spectral radius, whose derivative is not where multipliers meet, the entries of the
+    step map's derivative.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of measures, as `tasks.measures.levels.measures` has them.
+    """
+
+    names: tuple[str, ...]
+
+    @property
+    def smooth(self) -> list[str]:
+        """Names of the measures that are smooth."""
+        return [name for name in self.names if name != _RADIUS]
+
+    def at(self, at: Evaluation) -> np.ndarray:
+        """Return the rows (r, n) of gaits that are evaluated."""
+        measured = measures_at(self.smooth, at)
+        rows = [measured[name][None] for name in self.smooth]
+        if _RADIUS in self.names:
+            rows.append(at.stride.jacobian.reshape(-1, len(at.q)))
+        return np.vstack(rows)
+
+    def named(self, derivatives: np.ndarray, jacobian: np.ndarray) -> Measured:
+        """Return the derivatives of measures.
+
+        Parameters
+        ----------
+        derivatives : ndarray, shape (r, keys, n)
+            Of the rows.
+        jacobian : ndarray, shape (d, d, n)
+            Of the step map.
+
+        Returns
+        -------
+        dict of ndarray, shape (keys, n)
+        """
+        smooth = self.smooth
+        found = dict(zip(smooth, derivatives, strict=False))
+        if _RADIUS in self.names:
+            of_jacobian = derivatives[len(smooth) :]
+            shaped = of_jacobian.reshape(*jacobian.shape[:2], *of_jacobian.shape[1:])
+            found[_RADIUS] = _radius_moved(jacobian, shaped)
+        return {name: found[name] for name in self.names}
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def _radius_moved(jacobian: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """Derivatives (keys, n) of spectral radii by those of matrices (d, d, keys, n): of
+    a multiplier m with left and right vectors u, v, dm = u dJ v / u v.
+    """
+    found = np.full(moved.shape[2:], np.nan)
+    matrices = np.moveaxis(jacobian, -1, 0)
+    known = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)))
+    values, right = np.linalg.eig(matrices[known])
+    left = np.linalg.pinv(right)
+    largest = np.abs(values).argmax(axis=1)
+    lanes = np.arange(len(known))
+    value, u, v = values[lanes, largest], left[lanes, largest], right[lanes, :, largest]
+
+    weights = u.T[:, None] * v.T[None] * value.conj() / np.abs(value)
+    terms = weights[:, :, None] * moved[..., known]
+    found[:, known] = total(terms.reshape(-1, *found[:, known].shape)).real
+    return found
+
+
+@dataclass(frozen=True)
 class _Neighbourhood:
     """Gaits with their measures to first order in their unknowns.
 
@@ -131,8 +228,8 @@ class _Neighbourhood:
         Of one walker, over slopes.
     Z : ndarray, shape (c, n)
         The gaits.
-    names : sequence of str
-        Of r measures.
+    rows : Rows
+        What is differentiated.
     of_gait : ndarray, shape (c - 1, c, n)
         Derivative of the gaits' equations by Z.
     of_measures : ndarray, shape (r, c, n)
@@ -141,32 +238,29 @@ class _Neighbourhood:
 
     problem: Problem
     Z: Coordinates
-    names: Sequence[str]
+    rows: Rows
     of_gait: np.ndarray
     of_measures: np.ndarray
 
     @classmethod
-    def of(
-        cls, problem: Problem, Z: Coordinates, names: Sequence[str]
-    ) -> _Neighbourhood:
+    def of(cls, problem: Problem, Z: Coordinates, rows: Rows) -> _Neighbourhood:
         """Differentiate gaits and measures by Z, the latter by differences."""
         equations = Equations(problem)
         of_gait = equations.at(Z).derivative
-        of_measures = np.empty((len(names), *Z.shape))
-        for unknown in range(len(Z)):
-            of_measures[:, unknown] = _differences(
-                partial(_measured, names), equations, Z, unknown, _CENTRAL
-            )
-        return cls(problem, Z, names, of_gait, of_measures)
+        by_unknowns = [
+            _differences(rows.at, equations, Z, unknown, _CENTRAL)
+            for unknown in range(len(Z))
+        ]
+        return cls(problem, Z, rows, of_gait, np.stack(by_unknowns, axis=1))
 
-    def by_slope(self) -> Measured:
-        """Derivatives of measures by slope [the walker's units, over rad]."""
+    def by_slope(self) -> np.ndarray:
+        """Derivatives (r, n) of measures by slope [the walker's units, over rad]."""
         by_log_slope = self._in_all(self.of_gait[:, -1], self.of_measures[:, -1])
-        return self._named(by_log_slope / np.exp(self.Z[-1]))
+        return by_log_slope / np.exp(self.Z[-1])
 
-    def by_key(self, key: KeyOfWalker) -> Measured:
-        """Derivatives of measures by a key of the walker, at a fixed slope [the walker's
-        units, over those of the key].
+    def by_key(self, key: KeyOfWalker) -> np.ndarray:
+        """Derivatives (r, n) of measures by a key of the walker, at a fixed slope [the
+        walker's units, over those of the key].
 
         Raises
         ------
@@ -174,25 +268,24 @@ class _Neighbourhood:
             If there is no walker beside its own, or those beside it have gaits with
             other unknowns, as feet without mass have.
         """
-        keys = Keys.of_one(key.name, key.walker_at, *key.range)
+        keys = key.unknown(self.problem)
         equations = Equations(keys).over(self.problem.drive)
-        if equations.problem.m != self.problem.m:
-            why = "is special: gaits of the walkers beside it have other unknowns"
-            raise WalkerError(key.name, key.value, why)
-
         scale = keys.scale[0]
         own = np.full((1, self.Z.shape[1]), key.value / scale)
-        is_least = key.value + _CENTRAL[0][0] * _STEP * scale < keys.low[0]
-        stencil = _FORWARD if is_least else _CENTRAL
+        lowest = key.value + _CENTRAL.places[0] * _CENTRAL.step * scale
+        stencil = _FORWARD if lowest < keys.low[0] else _CENTRAL
         both = _differences(
-            partial(_residual_and_measured, self.names),
+            self._equations_and_measures,
             equations,
             np.vstack([self.Z, own]),
             len(self.Z),
             stencil,
         )
         residual, measures = np.split(both, [len(self.Z) - 1])
-        return self._named(self._in_all(residual, measures) / scale)
+        return self._in_all(residual, measures) / scale
+
+    def _equations_and_measures(self, at: Evaluation) -> np.ndarray:
+        return np.vstack([at.residual, self.rows.at(at)])
 
     def _in_all(self, by_residual: np.ndarray, by_measures: np.ndarray) -> np.ndarray:
         """Derivatives (r, n) of measures of gaits by what changes their equations
@@ -200,9 +293,6 @@ class _Neighbourhood:
         """
         moved = _moved(self.of_gait[:, :-1], by_residual)
         return by_measures + matvec(self.of_measures[:, :-1], moved)
-
-    def _named(self, values: np.ndarray) -> Measured:
-        return dict(zip(self.names, values, strict=True))
 
 
 def _moved(by_w: np.ndarray, by_other: np.ndarray) -> np.ndarray:
@@ -230,24 +320,14 @@ def _differences(
     stencil: _Stencil,
 ) -> np.ndarray:
     """Derivatives (r, n) of a function (r, n) of steps by one unknown."""
-    places, weights = stencil
-    n = X.shape[1]
-    points = np.tile(X, len(places))
-    points[unknown] += _STEP * np.repeat(places, n)
-    lanes = np.tile(np.arange(n), len(places))
+    n, beside = X.shape[1], len(stencil.places)
+    points = np.tile(X, beside)
+    points[unknown] += stencil.step * np.repeat(stencil.places, n)
+    lanes = np.tile(np.arange(n), beside)
     values = function(equations.some(lanes).evaluate(points))
-    beside = values.reshape(len(values), len(places), n)
-    weighted = (weight * beside[:, k] for k, weight in enumerate(weights))
-    return total(weighted) / _STEP
-
-
-def _measured(names: Sequence[str], at: Evaluation) -> np.ndarray:
-    measured = measures_at(names, at)
-    return np.stack([measured[name] for name in names])
-
-
-def _residual_and_measured(names: Sequence[str], at: Evaluation) -> np.ndarray:
-    return np.vstack([at.residual, _measured(names, at)])
+    values = values.reshape(-1, beside, n)
+    weighted = (weight * values[:, k] for k, weight in enumerate(stencil.weights))
+    return total(weighted) / stencil.step
 
 
 def differentiated(
@@ -272,13 +352,8 @@ def differentiated(
         Derivatives by each of `DIFFERENTIATED` [the walker's units]; NaN where there
         is no gait, or the walkers beside it are of another kind.
     """
-    wanted = [name for name in want if VARIABLES[name].group == SENSITIVITIES]
-    if not wanted:
-        return {}
-    of_walker = measures(problem.walker)
-    names = [name for name in map(_measure_of, wanted) if name in of_walker]
-    shape = (len(drive), len(DIFFERENTIATED))
-    found = {name: np.full(shape, np.nan) for name in wanted}
+    found = not_differentiated(want, len(drive))
+    names = measures_among(want, problem.walker)
     lanes = np.flatnonzero(at.converged & at.step)
     if not len(lanes) or not names:
         return found
@@ -287,29 +362,97 @@ def differentiated(
         Z = np.vstack([at.w[:, lanes[some]], np.log(slope)])
         # Its steps are differentiated by the slope, not by what drives there.
         own = Problem(driven.walker, driven.steps, driven.drive)
-        for column, name, values in _by_all_keys(own, Z, names):
-            found[f"{name}{BY_KEY}"][lanes[some], column] = values
+        rows = Rows(names)
+        jacobian = at.stride.jacobian[..., lanes[some]]
+        by_keys = rows.named(by_all_keys(own, Z, rows), jacobian)
+        for name, values in by_keys.items():
+            found[name + BY_KEY][lanes[some]] = values.T
     return found
 
 
-def _by_all_keys(
-    problem: Problem, Z: Coordinates, names: Sequence[str]
-) -> Iterator[tuple[int, str, np.ndarray]]:
-    """Yield the place of each key, and the derivatives (n,) by it of each measure."""
-    line = {"walker": problem.walker.table(), "set": {}}
-    keys = [
-        KeyOfWalker(key, getattr(problem.walker, key), walkers_over(line, key))
+def not_differentiated(want: Sequence[str], n: int) -> Measured:
+    """Return the wanted variables of the group `sensitivities` of n gaits, all NaN."""
+    wanted = [name for name in want if VARIABLES[name].group == SENSITIVITIES]
+    return {name: np.full((n, len(DIFFERENTIATED)), np.nan) for name in wanted}
+
+
+def measures_among(want: Sequence[str], walker: Walker) -> tuple[str, ...]:
+    """Return the measures of a walker whose derivatives are among wanted variables."""
+    of_walker = measures(walker)
+    wanted = [name.removesuffix(BY_KEY) for name in not_differentiated(want, 0)]
+    return tuple(name for name in wanted if name in of_walker)
+
+
+def by_all_keys(problem: Problem, Z: Coordinates, rows: Rows) -> np.ndarray:
+    """Return the derivatives of rows by each of `DIFFERENTIATED`, shape (r, keys, n);
+    NaN by keys beside whose values walkers are of another kind.
+    """
+    by_keys, _ = _at_gaits(problem, Z, _keys_of(problem.walker), rows)
+    some = next(iter(by_keys.values()))
+    nowhere = np.full(some.shape, np.nan)
+    return np.stack([by_keys.get(key, nowhere) for key in DIFFERENTIATED], axis=1)
+
+
+def sizes_of_keys(walker: Walker, slope: np.ndarray) -> np.ndarray:
+    """Return the slopes and the characteristic sizes of the other keys, shape (keys,
+    n), over which the derivatives by them count.
+    """
+    sizes = [np.full(len(slope), _size(key, walker)) for key in DIFFERENTIATED[1:]]
+    return np.stack([slope, *sizes])
+
+
+def slope_by_keys(problem: Problem, condition: Condition, Z: Gait) -> dict[str, float]:
+    """Differentiate the slope of a special point by the keys of its walker.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one walker and one step, over slopes.
+    condition : Condition
+        That the point meets.
+    Z : ndarray, shape (c,)
+        The point.
+
+    Returns
+    -------
+    dict of float [rad, over the units of the keys]
+        By each of `DIFFERENTIATED` but the slope; without keys beside whose values
+        walkers are of another kind.
+
+    Notes
+    -----
+    The implicit function theorem for the gait's equations and the condition; by keys
+    these are differentiated by central differences. Beyond a least value of a key the
+    walkers' formulas go on.
+    """
+    found = {}
+    for key in _keys_of(problem.walker):
+        try:
+            keys = key.unknown(problem)
+        except WalkerError:
+            continue
+        beside = partial(_beside, problem.walker, key.name)
+        keys = replace(keys, walkers_at=beside)
+        equations = Equations(keys, [condition]).over(problem.drive)
+        X = np.append(Z, key.value / keys.scale)
+        by_key = sensitivity(equations, X)[-1, 0]
+        found[key.name] = float(np.exp(Z[-1]) * by_key)
+    return found
+
+
+def _beside(walker: Walker, key: str, values: np.ndarray) -> WalkerArray:
+    """The walkers that differ by values (1, n) of a key, valid or not."""
+    walkers = WalkerArray.of([walker])
+    return WalkerArray(**(walkers.table() | {key: values[0]}))
+
+
+def _keys_of(walker: Walker) -> list[KeyOfWalker]:
+    """The keys of a walker among `DIFFERENTIATED`."""
+    line = {"walker": walker.table(), "set": {}}
+    return [
+        KeyOfWalker(key, getattr(walker, key), walkers_over(line, key))
         for key in DIFFERENTIATED[1:]
     ]
-    by_keys, _ = at_gaits(problem, Z, keys, names)
-    for key, derivatives in by_keys.items():
-        for name, values in derivatives.items():
-            yield DIFFERENTIATED.index(key), name, values
-
-
-def _measure_of(derivative: str) -> str:
-    """The measure whose derivatives a variable holds."""
-    return derivative.removesuffix(BY_KEY)
 
 
 def at_gaits(
@@ -337,7 +480,21 @@ def at_gaits(
         over rad or those of the key]; NaN where a gait is at a fold.
     absent : dict of str
     """
-    gaits = _Neighbourhood.of(problem, Z, names)
+    rows = Rows(tuple(names))
+    by_keys, absent = _at_gaits(problem, Z, keys, rows)
+    jacobian = Equations(problem).evaluate(Z).stride.jacobian
+    every = rows.named(np.stack([*by_keys.values()], axis=1), jacobian)
+    found: dict[str, Measured] = {}
+    for place, key in enumerate(by_keys):
+        found[key] = {name: values[place] for name, values in every.items()}
+    return found, absent
+
+
+def _at_gaits(
+    problem: Problem, Z: Coordinates, keys: Sequence[KeyOfWalker], rows: Rows
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Derivatives of rows (r, n) by slope and keys, and why there are none by some."""
+    gaits = _Neighbourhood.of(problem, Z, rows)
     derivatives = {SLOPE: gaits.by_slope()}
     absent = {}
     for key in keys:

@@ -4,7 +4,7 @@ points.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.locate import locate_root
 from gaitsweep.tasks.branches.lockstep import run
 from gaitsweep.tasks.branches.pseudo_arclength import Point
@@ -23,6 +24,7 @@ from gaitsweep.tasks.contract.tables import nothing, stacked, table
 from gaitsweep.tasks.gaits.multipliers import multipliers
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures import violations
+from gaitsweep.tasks.measures.sensitivities import slope_by_keys
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Numbers, PerLane
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
@@ -34,6 +36,8 @@ COLUMNS = (
     *("period", "kneestrike_time", "spectral_radius", "stable", "gait"),
 )
 SPECIAL = ("branch", "kind", "slope", "stance_angle", *RATES, "period", "error_bound")
+#: Columns of the table `special_sensitivities`.
+DERIVATIVES = ("branch", "kind", "slope", "key", "slope_by_key")
 #: Largest number of points between two nodes; a window that needs more is too narrow.
 _MAX_PARTS = 65536
 #: Least share of ln slope in a branch's direction for points to be corrected at their
@@ -51,7 +55,8 @@ def branch(
     params : mapping
         `line`; `slope_from`, `slope_to` [rad], the window; `n`, the least number of
         points of a branch in it, or `adaptive`, the tolerance of linear interpolation
-        between them; `steps` after which the gaits repeat.
+        between them; `steps` after which the gaits repeat; `sensitivities`, whether the
+        slopes of special points are differentiated.
     inputs : list
         The line's atlas, of the same `steps`.
 
@@ -61,7 +66,8 @@ def branch(
         Tables `branches` (branch, slope, stance_angle, stance_rate, thigh_rate,
         shank_rate, period, kneestrike_time, spectral_radius, stable, gait) and
         `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate,
-        shank_rate, period, error_bound), in the walker's units.
+        shank_rate, period, error_bound), in the walker's units; where these are wanted
+        `special_sensitivities` (branch, kind, slope, key, slope_by_key).
     """
     walker = walker_of_line(params["line"])
     problem = Problem(walker, int(params.get("steps", 1)))
@@ -69,7 +75,7 @@ def branch(
     least = int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
     parts: list[tuple[Any, ...]] = []
-    points: list[tuple[Any, ...]] = []
+    special: list[tuple[int, dict[str, Any]]] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
         if tolerance:
             Z = chosen(problem, curve, low, high, tolerance)
@@ -78,10 +84,14 @@ def branch(
         if Z.shape[1]:
             parts.append((number, *_columns(problem, Z)))
             for point in _special_within(problem, curve, low, high):
-                points.append((number, *_special_row(problem, point)))
+                special.append((number, point))
 
     tables = stacked("branches", parts, COLUMNS)
+    points = [(number, *_special_row(problem, point)) for number, point in special]
     tables |= table("special_points", points, SPECIAL)
+    if params.get("sensitivities"):
+        rows = [*_derivatives(problem, special)]
+        tables |= table("special_sensitivities", rows, DERIVATIVES)
     if not parts:
         gait = "gait"
         if problem.steps > 1:
@@ -139,6 +149,20 @@ def _special_row(problem: Problem, point: dict[str, Any]) -> tuple[Any, ...]:
         point["period"] * time_unit,
         point["error_bound"],
     )
+
+
+def _derivatives(
+    problem: Problem, special: Iterable[tuple[int, Mapping[str, Any]]]
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of the table `special_sensitivities`, of points and the numbers of their
+    branches.
+    """
+    for number, point in special:
+        if point.get("condition"):
+            condition = CONDITIONS[point["condition"]]
+            by_keys = slope_by_keys(problem, condition, np.array(point["Z"]))
+            for key, by_key in by_keys.items():
+                yield number, point["kind"], point["slope"], key, by_key
 
 
 def contact_lost(

@@ -225,3 +225,34 @@ variables = ["stance_angle", "period", "speed", "sensitivities"]
                     one[name].sel(gait="long", key=key),
                     rtol=1e-7,
                 )
+
+
+@pytest.mark.parametrize(
+    ("walker", "window"),
+    [
+        ("D", (0.001, 0.015)),
+        ("E", (0.005, 0.02)),
+        pytest.param("C", (0.01, 0.06), marks=SLOW),
+    ],
+)
+def test_polynomials_of_long_lines_give_the_derivatives_of_single_gaits(walker, window):
+    """C's second gait ends within the window. Errors count over the larger of derivative
+    and measure; beside meetings of multipliers the radius has larger ones.
+    """
+    names = ["stance_angle", "period", "loss_normal", "spectral_radius"]
+    want = [*names, "sensitivities"]
+    slopes = np.linspace(*window, 300)
+    long = gaitsweep.gaits(walker, slopes, variables=want)
+    few = np.arange(0, 300, 23)
+
+    single = gaitsweep.gaits(walker, slopes[few], variables=want)
+
+    for name in names:
+        ours = long[f"{name}_by_key"].values[few, :2]
+        theirs = single[f"{name}_by_key"].values[:, :2]
+        for by_slope in (ours[..., 0], theirs[..., 0]):
+            by_slope *= slopes[few, None]
+        np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs))
+        size = np.abs(theirs) + np.abs(single[name].values[:, :2, None])
+        assert np.nanmax(np.abs(ours - theirs) / size) < 2e-8
+        assert (ours != theirs)[np.isfinite(ours)].any()
