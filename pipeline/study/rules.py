@@ -246,6 +246,10 @@ def _several_steps_have_no_laws(study: Study, top: Location) -> Iterator[StudyEr
         yield top.at("axes", "slope").error(
             f"`adaptive` is for gaits of one step, and `steps` is {study.steps}: give `n`"
         )
+    if study.options.get("sensitivities"):
+        yield top.at("options", "sensitivities").error(
+            f"`sensitivities` are of gaits of one step, and `steps` is {study.steps}"
+        )
 
 
 def _targets_are_of_gaits_of_a_grid(

@@ -442,8 +442,7 @@ def slope_by_keys(problem: Problem, condition: Condition, Z: Gait) -> dict[str, 
 
 def _beside(walker: Walker, key: str, values: np.ndarray) -> WalkerArray:
     """The walkers that differ by values (1, n) of a key, valid or not."""
-    walkers = WalkerArray.of([walker])
-    return WalkerArray(**(walkers.table() | {key: values[0]}))
+    return WalkerArray(**(walker.table() | {key: values[0]}))
 
 
 def _keys_of(walker: Walker) -> list[KeyOfWalker]:

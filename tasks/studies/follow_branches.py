@@ -4,7 +4,7 @@ points.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,8 @@ _MAX_PARTS = 65536
 #: Least share of ln slope in a branch's direction for points to be corrected at their
 #: slopes.
 _STEEP = 1e-2
+#: A special point, after the number of its branch.
+_Numbered = tuple[int, Mapping[str, Any]]
 
 
 def branch(
@@ -75,7 +77,7 @@ def branch(
     least = int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
     parts: list[tuple[Any, ...]] = []
-    special: list[tuple[int, dict[str, Any]]] = []
+    special: list[_Numbered] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
         if tolerance:
             Z = chosen(problem, curve, low, high, tolerance)
@@ -87,11 +89,7 @@ def branch(
                 special.append((number, point))
 
     tables = stacked("branches", parts, COLUMNS)
-    points = [(number, *_special_row(problem, point)) for number, point in special]
-    tables |= table("special_points", points, SPECIAL)
-    if params.get("sensitivities"):
-        rows = [*_derivatives(problem, special)]
-        tables |= table("special_sensitivities", rows, DERIVATIVES)
+    tables |= _special_tables(problem, special, bool(params.get("sensitivities")))
     if not parts:
         gait = "gait"
         if problem.steps > 1:
@@ -151,12 +149,22 @@ def _special_row(problem: Problem, point: dict[str, Any]) -> tuple[Any, ...]:
     )
 
 
+def _special_tables(
+    problem: Problem, special: Sequence[_Numbered], differentiates: bool
+) -> dict[str, ndarray]:
+    """Tables of special points, and where wanted of the derivatives of their slopes."""
+    points = [(number, *_special_row(problem, point)) for number, point in special]
+    tables = table("special_points", points, SPECIAL)
+    if differentiates:
+        rows = [*_derivatives(problem, special)]
+        tables |= table("special_sensitivities", rows, DERIVATIVES)
+    return tables
+
+
 def _derivatives(
-    problem: Problem, special: Iterable[tuple[int, Mapping[str, Any]]]
+    problem: Problem, special: Sequence[_Numbered]
 ) -> Iterator[tuple[Any, ...]]:
-    """Rows of the table `special_sensitivities`, of points and the numbers of their
-    branches.
-    """
+    """Rows of the table `special_sensitivities`."""
     for number, point in special:
         if point.get("condition"):
             condition = CONDITIONS[point["condition"]]
