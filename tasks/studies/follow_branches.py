@@ -136,7 +136,7 @@ def _special_within(
     return inside + _leaves_window(problem, branch, low, high)
 
 
-def _special_row(problem: Problem, point: dict[str, Any]) -> tuple[Any, ...]:
+def _special_row(problem: Problem, point: Mapping[str, Any]) -> tuple[Any, ...]:
     """Row of the table `special_points` after the first column."""
     time_unit = problem.walker.time_unit
     return (
