@@ -5,6 +5,9 @@ import pytest
 
 import gaitsweep
 from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.tasks.branches.atlas import from_arrays
+from gaitsweep.tasks.studies.request import Request
+from gaitsweep.tasks.studies.solve_points import atlas, solve_line
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import KEYS
 
@@ -256,3 +259,17 @@ def test_polynomials_of_long_lines_give_the_derivatives_of_single_gaits(walker, 
         size = np.abs(theirs) + np.abs(single[name].values[:, :2, None])
         assert np.nanmax(np.abs(ours - theirs) / size) < 2e-8
         assert (ours != theirs)[np.isfinite(ours)].any()
+
+
+def test_derivatives_of_long_lines_do_not_depend_on_how_they_are_cut():
+    line = {"walker": "D", "set": {}}
+    branches = from_arrays(atlas({"line": line}, []))
+    slopes = np.linspace(0.002, 0.012, 40)
+
+    def derivatives(some):
+        want = ("period", "period_by_key")
+        asked = {"slope": some, "want": want, "charted": True}
+        return solve_line(line, branches, Request.of(asked))["period_by_key"]
+
+    parts = [derivatives(some) for some in np.split(slopes, [3, 21])]
+    np.testing.assert_array_equal(derivatives(slopes), np.concatenate(parts))
