@@ -62,7 +62,7 @@ def sensitivities(
     Notes
     -----
     The implicit function theorem gives how a gait moves with a key; its derivatives,
-    and those of measures along it, are differences of the fourth order, which err by
+    and those of measures along it, are differences of the sixth order, which err by
     1e-9 of the larger of value and derivative, or what rounding leaves where a gait
     moves much.
     """

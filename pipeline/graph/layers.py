@@ -16,6 +16,7 @@ from gaitsweep.tasks.contract.registry import (
     LOSS_WINDOWS,
     READ_BY_CLAIMS,
     READS,
+    SENSITIVITIES,
     TASKS,
     VARIABLES,
     Task,
@@ -93,7 +94,10 @@ def point_params(study: Study, method: Method) -> dict[str, Any]:
     if study.accuracy:
         given["accuracy"] = study.accuracy
         given["interpolated"] = method is Method.INTERPOLATED
-    measures = _versions(variables(study))
+    names = variables(study)
+    if any(VARIABLES[name].group == SENSITIVITIES for name in names):
+        given["charted"] = method is Method.LONG
+    measures = _versions(names)
     if measures:
         given["measures"] = measures
     return {**study.options, **given}

@@ -85,6 +85,8 @@ def of_point(study: Study, method: Method) -> float:
         way = Method.INTERPOLATED
     groups = {VARIABLES[name].group for name in variables(study)}
     dear = sorted(groups & {"violations", "sensitivities", "proofs"})
+    if method is Method.LONG:  # by polynomials
+        dear = [group.replace("sensitivities", "charted") for group in dear]
     return _total(study, [POINTS[group] for group in (way, *dear)])
 
 

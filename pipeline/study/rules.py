@@ -291,6 +291,20 @@ def _several_steps_have_no_laws(study: Study, top: Location) -> Iterator[StudyEr
         yield top.at("axes", study.along).error(
             f"`adaptive` is for gaits of one step, and `steps` is {study.steps}: give `n`"
         )
+    if study.options.get("sensitivities"):
+        yield top.at("options", "sensitivities").error(
+            f"`sensitivities` are of gaits of one step, and `steps` is {study.steps}"
+        )
+
+
+def _slopes_are_differentiated_over_slopes(
+    study: Study, top: Location
+) -> Iterator[StudyError]:
+    """Of special points over what drives at one slope none is differentiated."""
+    if study.options.get("sensitivities") and study.along != "slope":
+        yield top.at("options", "sensitivities").error(
+            f"`sensitivities` are of slopes; this branch is followed over `{study.along}`"
+        )
 
 
 def _targets_are_of_gaits_of_a_grid(
@@ -354,6 +368,7 @@ RULES: tuple[Rule, ...] = (
     _what_is_over_slopes_has_slopes,
     _a_window_has_two_ends,
     _several_steps_have_no_laws,
+    _slopes_are_differentiated_over_slopes,
     _targets_are_of_gaits_of_a_grid,
 )
 RULES_OF_WALKERS: tuple[Rule, ...] = (_level_ground_needs_a_drive,)

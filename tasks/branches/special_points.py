@@ -61,8 +61,9 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
     list of dict
         `kind`, `slope` [rad], `stance_angle` [rad], `rates` of stance leg, thigh and
         shank [sqrt(g/leg)], `period` [sqrt(leg/g)], `error_bound` (relative, of the
-        slope), the point `Z`, shape (c,), and `place`: the number of its node, or a
-        number between those of its neighbours.
+        slope), the point `Z`, shape (c,), `place`: the number of its node, or a number
+        between those of its neighbours; and `condition`, the name of that which it
+        meets, empty without.
     """
     nodes = corrected(problem, branch)
     found = []
@@ -76,7 +77,8 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
         described = record(each.kind, each.point.at, each.lane, error)
         if each.kind == "end_zero_step":
             described |= _limit_of_short_steps(branch, each.lane)
-        records.append({**described, "place": each.place})
+        condition = _condition(each.kind, each.point, each.lane)
+        records.append({**described, "place": each.place, "condition": condition})
     return records
 
 
@@ -325,15 +327,20 @@ def state_at(point: Evaluation, lane: int) -> dict[str, Any]:
     return {"stance_angle": state[0], "rates": tuple(state[1:])}
 
 
+def _condition(kind: str, point: Point, lane: int) -> str:
+    """The name of the condition that a special point meets; empty without."""
+    if kind == "end_earlier_strike" and _strikes_with_knee(point, lane):
+        return "foot_at_kneestrike"
+    return kind if is_located(kind) and kind != "window" else ""
+
+
 def _error(kind: str, point: Point, lane: int, known: float) -> float:
     """Bound on the relative error of a special point's slope, of which a part is known."""
     problem = point.at.problem
-    Z = point.Z[:, lane]
     is_flip_of_others = kind == "branch_point" and known
-    if kind == "end_earlier_strike" and _strikes_with_knee(point, lane):
-        error = slope_error(problem, CONDITIONS["foot_at_kneestrike"], Z)
-    elif is_located(kind) and kind != "window":
-        error = slope_error(problem, CONDITIONS[kind], Z)
+    condition = _condition(kind, point, lane)
+    if condition:
+        error = slope_error(problem, CONDITIONS[condition], point.Z[:, lane])
     elif is_flip_of_others:
         # The branch begins at it.
         error = 0.0

@@ -151,6 +151,15 @@ class Span:
             * np.ones(len(points))
         )
 
+    def from_folds(self, points: np.ndarray) -> np.ndarray:
+        """Return a smooth factor that vanishes at the piece's folds as the derivative
+        of ln slope by the position does, at points (n, 1 + d), shape (n,); 1 without.
+        """
+        start, stop = self.part
+        share = start + (stop - start) * 0.5 * (1 + points[:, 0])
+        low, high = self.folds
+        return np.where(low, share, 1.0) * np.where(high, 1 - share, 1.0)
+
     @property
     def bounds(self) -> tuple[float, float]:
         """Least and largest ln slope of a span over no keys."""

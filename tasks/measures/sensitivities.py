@@ -1,29 +1,29 @@
 """Derivatives of the measures of a gait by slope and by the keys of its walker.
 
 The implicit function theorem gives how a gait moves with a key p: of its equations
-G(w, p) = 0, dw/dp = -G_w^-1 G_p. A measure M(w, p) then has the derivative along that
-direction, M_w dw/dp + M_p. G_w and the derivative of G by slope are exact; G_p, and
-derivatives along directions, are differences over four points, whose error is of the
-fourth order.
+G(w, p) = 0, dw/dp = -G_w^-1 G_p. A measure M(w, p) then has the derivative M_w dw/dp +
+M_p. G_w and the derivative of G by slope are exact; G_p, M_w and M_p are differences
+over six points, whose error is of the sixth order.
 
-In shapes, n counts gaits, c the unknowns of one (`tasks.branches.joint`), u those and a
-key.
+In shapes, n counts gaits, c the unknowns Z of one (`tasks.branches.joint`), r measures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from gaitsweep.tasks.branches.equations import Equations, Keys
+from gaitsweep.tasks.branches.conditions import Condition
+from gaitsweep.tasks.branches.equations import Equations, Keys, sensitivity
 from gaitsweep.tasks.branches.joint import Evaluation
 from gaitsweep.tasks.contract.registry import BY_KEY, SENSITIVITIES, VARIABLES
 from gaitsweep.tasks.gaits.polish import Polished
 from gaitsweep.tasks.measures.levels import measures, measures_at
-from gaitsweep.tasks.mechanics.arrays import Coordinates
-from gaitsweep.tasks.mechanics.sums import norm
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait
+from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import walkers_over
 from gaitsweep.tasks.walkers.walker import (
@@ -35,18 +35,34 @@ from gaitsweep.tasks.walkers.walker import (
     Walker,
     WalkerError,
 )
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
-#: Derivatives of a function by its values at multiples of a step, with their weights
-#: over the step: where it is defined on both sides, and beyond a least value.
-_CENTRAL = np.array([-2.0, -1.0, 1.0, 2.0]), np.array([1.0, -8.0, 8.0, -1.0]) / 12
-_FORWARD = np.arange(5.0), np.array([-25.0, 48.0, -36.0, 16.0, -3.0]) / 12
-_Stencil = tuple[np.ndarray, np.ndarray]
-#: The step: of a key over its length, and of a gait in its unknowns.
-_STEP = 1e-4
-#: Unknowns change by more than that for gaits that hardly depend on a key.
-_LEAST_MOVE = 1.0
 
-SLOPE = "slope"
+@dataclass(frozen=True)
+class _Stencil:
+    """A derivative of a function by its values at multiples of a step: of a gait in its
+    unknowns, and of a key over its length.
+    """
+
+    places: np.ndarray
+    weights: np.ndarray
+    step: float
+
+
+#: Where a function is defined on both sides: gaits may depend on a key a hundred times
+#: as much as on its length. And beyond a least value, of a mass or a radius.
+_CENTRAL = _Stencil(
+    np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0]),
+    np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 60,
+    1e-4,
+)
+_FORWARD = _Stencil(
+    np.arange(7.0),
+    np.array([-147.0, 360.0, -450.0, 400.0, -225.0, 72.0, -10.0]) / 60,
+    1e-3,
+)
+
+SLOPE, _RADIUS = "slope", "spectral_radius"
 Measured = dict[str, np.ndarray]
 
 
@@ -88,6 +104,21 @@ class KeyOfWalker:
         why = f"has no walkers beside {self.value:.6g}"
         raise WalkerError(self.name, self.value, why)
 
+    def unknown(self, problem: Problem) -> Keys:
+        """The key as an unknown of the gaits of a problem's walker.
+
+        Raises
+        ------
+        WalkerError
+            If there is no walker beside its own, or those beside it have gaits with
+            other unknowns, as feet without mass have.
+        """
+        keys = Keys.of_one(self.name, self.walker_at, *self.range)
+        if keys.structure.dimension != problem.structure.dimension:
+            why = "is special: gaits of the walkers beside it have other unknowns"
+            raise WalkerError(self.name, self.value, why)
+        return keys
+
     def _are_walkers(self, low: float, high: float) -> bool:
         try:
             for value in (low, high):
@@ -118,136 +149,186 @@ def _size(name: str, walker: Walker) -> float:
     return 1.0 if kind is None else sizes[kind]
 
 
-def by_slope(
-    problem: Problem, Z: Coordinates, of_gait: np.ndarray, names: Sequence[str]
-) -> Measured:
-    """Return the derivatives of measures by slope.
+@dataclass(frozen=True)
+class Rows:
+    """What is differentiated of gaits, r rows: measures that are smooth and, for the
+    spectral radius, whose derivative is not where multipliers meet, the entries of the
+    step map's derivative.
 
-    Parameters
+    Attributes
+    ----------
+    names : tuple of str
+        Of measures, as `tasks.measures.levels.measures` has them.
+    """
+
+    names: tuple[str, ...]
+
+    @property
+    def smooth(self) -> list[str]:
+        """Names of the measures that are smooth."""
+        return [name for name in self.names if name != _RADIUS]
+
+    def at(self, at: Evaluation) -> np.ndarray:
+        """Return the rows (r, n) of gaits that are evaluated."""
+        measured = measures_at(self.smooth, at)
+        rows = [measured[name][None] for name in self.smooth]
+        if _RADIUS in self.names:
+            rows.append(at.stride.jacobian.reshape(-1, len(at.q)))
+        return np.vstack(rows)
+
+    def named(self, derivatives: np.ndarray, jacobian: np.ndarray) -> Measured:
+        """Return the derivatives of measures.
+
+        Parameters
+        ----------
+        derivatives : ndarray, shape (r, keys, n)
+            Of the rows.
+        jacobian : ndarray, shape (d, d, n)
+            Of the step map.
+
+        Returns
+        -------
+        dict of ndarray, shape (keys, n)
+        """
+        smooth = self.smooth
+        found = dict(zip(smooth, derivatives, strict=False))
+        if _RADIUS in self.names:
+            of_jacobian = derivatives[len(smooth) :]
+            shaped = of_jacobian.reshape(*jacobian.shape[:2], *of_jacobian.shape[1:])
+            found[_RADIUS] = _radius_moved(jacobian, shaped)
+        return {name: found[name] for name in self.names}
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def _radius_moved(jacobian: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """Derivatives (keys, n) of spectral radii by those of matrices (d, d, keys, n): of
+    a multiplier m with left and right vectors u, v, dm = u dJ v / u v.
+    """
+    found = np.full(moved.shape[2:], np.nan)
+    matrices = np.moveaxis(jacobian, -1, 0)
+    known = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)))
+    values, right = np.linalg.eig(matrices[known])
+    left = np.linalg.pinv(right)
+    largest = np.abs(values).argmax(axis=1)
+    lanes = np.arange(len(known))
+    value, u, v = values[lanes, largest], left[lanes, largest], right[lanes, :, largest]
+
+    weights = u.T[:, None] * v.T[None] * value.conj() / np.abs(value)
+    terms = weights[:, :, None] * moved[..., known]
+    found[:, known] = total(terms.reshape(-1, *found[:, known].shape)).real
+    return found
+
+
+@dataclass(frozen=True)
+class _Neighbourhood:
+    """Gaits with their measures to first order in their unknowns.
+
+    Attributes
     ----------
     problem : Problem
         Of one walker, over slopes.
     Z : ndarray, shape (c, n)
-        Its gaits.
+        The gaits.
+    rows : Rows
+        What is differentiated.
     of_gait : ndarray, shape (c - 1, c, n)
-        Derivative of their equations by Z.
-    names : sequence of str
-        Of `tasks.measures.levels.measures`.
-
-    Returns
-    -------
-    dict of ndarray, shape (n,) [the walker's units, over rad]
-        NaN where a gait is at a fold.
+        Derivative of the gaits' equations by Z.
+    of_measures : ndarray, shape (r, c, n)
+        That of the measures.
     """
-    equations = Equations(problem)
-    moved = _moved(of_gait[:, :-1], of_gait[:, -1])
-    direction = np.vstack([moved, np.ones((1, Z.shape[1]))])
-    by_log_slope = _measures_along(equations, Z, direction, names, _CENTRAL)
-    return {name: values / np.exp(Z[-1]) for name, values in by_log_slope.items()}
 
+    problem: Problem
+    Z: Coordinates
+    rows: Rows
+    of_gait: np.ndarray
+    of_measures: np.ndarray
 
-def by_key(
-    problem: Problem,
-    Z: Coordinates,
-    of_gait: np.ndarray,
-    key: KeyOfWalker,
-    names: Sequence[str],
-) -> Measured:
-    """Return the derivatives of measures by a key of the walker, at a fixed slope.
+    @classmethod
+    def of(cls, problem: Problem, Z: Coordinates, rows: Rows) -> _Neighbourhood:
+        """Differentiate gaits and measures by Z, the latter by differences."""
+        equations = Equations(problem)
+        of_gait = equations.at(Z).derivative
+        by_unknowns = [
+            _differences(rows.at, equations, Z, unknown, _CENTRAL)
+            for unknown in range(len(Z))
+        ]
+        return cls(problem, Z, rows, of_gait, np.stack(by_unknowns, axis=1))
 
-    Parameters
-    ----------
-    problem, Z, of_gait, names
-        As for `by_slope`.
-    key : KeyOfWalker
+    def by_slope(self) -> np.ndarray:
+        """Derivatives (r, n) of measures by slope [the walker's units, over rad]."""
+        by_log_slope = self._in_all(self.of_gait[:, -1], self.of_measures[:, -1])
+        return by_log_slope / np.exp(self.Z[-1])
 
-    Returns
-    -------
-    dict of ndarray, shape (n,) [the walker's units, over those of the key]
-        NaN where a gait is at a fold.
+    def by_key(self, key: KeyOfWalker) -> np.ndarray:
+        """Derivatives (r, n) of measures by a key of the walker, at a fixed slope [the
+        walker's units, over those of the key].
 
-    Raises
-    ------
-    WalkerError
-        If there is no walker beside its own, or those beside it have gaits with other
-        unknowns, as feet without mass have.
-    """
-    keys = Keys.of_one(key.name, key.walker_at, *key.range)
-    equations = Equations(keys).over(problem.drive)
-    if equations.problem.m != problem.m:
-        why = "is special: gaits of the walkers beside it have other unknowns"
-        raise WalkerError(key.name, key.value, why)
+        Raises
+        ------
+        WalkerError
+            If there is no walker beside its own, or those beside it have gaits with
+            other unknowns, as feet without mass have.
+        """
+        keys = key.unknown(self.problem)
+        equations = Equations(keys).over(self.problem.drive)
+        scale = keys.scale[0]
+        own = np.full((1, self.Z.shape[1]), key.value / scale)
+        lowest = key.value + _CENTRAL.places[0] * _CENTRAL.step * scale
+        stencil = _FORWARD if lowest < keys.low[0] else _CENTRAL
+        both = _differences(
+            self._equations_and_measures,
+            equations,
+            np.vstack([self.Z, own]),
+            len(self.Z),
+            stencil,
+        )
+        residual, measures = np.split(both, [len(self.Z) - 1])
+        return self._in_all(residual, measures) / scale
 
-    scale = keys.scale[0]
-    n = Z.shape[1]
-    X = np.vstack([Z, np.full((1, n), key.value / scale)])
-    only_key = np.zeros(X.shape)
-    only_key[-1] = 1.0
-    is_least = key.value - 2 * _STEP * scale < keys.low[0]
-    stencil = _FORWARD if is_least else _CENTRAL
-    step = np.full(n, _STEP)
-    by_value = _along(_residual, equations, X, only_key, step, stencil)
+    def _equations_and_measures(self, at: Evaluation) -> np.ndarray:
+        return np.vstack([at.residual, self.rows.at(at)])
 
-    direction = only_key.copy()
-    direction[: len(Z) - 1] = _moved(of_gait[:, :-1], by_value)
-    by_share = _measures_along(equations, X, direction, names, stencil)
-    return {name: values / scale for name, values in by_share.items()}
+    def _in_all(self, by_residual: np.ndarray, by_measures: np.ndarray) -> np.ndarray:
+        """Derivatives (r, n) of measures of gaits by what changes their equations
+        (c - 1, n) and, of a gait that does not move, its measures (r, n).
+        """
+        moved = _moved(self.of_gait[:, :-1], by_residual)
+        return by_measures + matvec(self.of_measures[:, :-1], moved)
 
 
 def _moved(by_w: np.ndarray, by_other: np.ndarray) -> np.ndarray:
     """How gaits move with another unknown: -G_w^-1 G_p, shape (c - 1, n); NaN where the
     equations are singular.
     """
-    moved = np.full(by_other.shape, np.nan)
-    for lane in range(by_other.shape[1]):
-        try:
-            moved[:, lane] = np.linalg.solve(by_w[..., lane], -by_other[:, lane])
-        except np.linalg.LinAlgError:
-            continue
-    return moved
-
-
-def _measures_along(
-    equations: Equations,
-    X: Coordinates,
-    direction: Coordinates,
-    names: Sequence[str],
-    stencil: _Stencil,
-) -> Measured:
-    """Derivatives of measures along directions (u, n)."""
-
-    def values(at: Evaluation) -> np.ndarray:
-        measured = measures_at(names, at)
-        return np.stack([measured[name] for name in names])
-
-    step = _STEP / np.maximum(_LEAST_MOVE, norm(direction))
-    derivatives = _along(values, equations, X, direction, step, stencil)
-    return dict(zip(names, derivatives, strict=True))
+    matrices, values = np.moveaxis(by_w, -1, 0), by_other.T[..., None]
+    try:
+        return -np.linalg.solve(matrices, values)[..., 0].T
+    except np.linalg.LinAlgError:
+        n = len(matrices)
+        if n == 1:
+            return np.full(by_other.shape, np.nan)
+        each = [_moved(by_w[..., [k]], by_other[:, [k]]) for k in range(n)]
+        return np.hstack(each)
 
 
 # A gait beside one at which strikes are tangential may not be.
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
-def _along(
+def _differences(
     function: Callable[[Evaluation], np.ndarray],
     equations: Equations,
     X: Coordinates,
-    direction: Coordinates,
-    step: np.ndarray,
+    unknown: int,
     stencil: _Stencil,
 ) -> np.ndarray:
-    """Derivatives (r, n) of a function (r, n) of steps along directions (u, n)."""
-    places, weights = stencil
-    u, n = X.shape
-    shifts = places[None, :, None] * (step * direction)[:, None]
-    points = (X[:, None] + shifts).reshape(u, -1)
-    lanes = np.tile(np.arange(n), len(places))
+    """Derivatives (r, n) of a function (r, n) of steps by one unknown."""
+    n, beside = X.shape[1], len(stencil.places)
+    points = np.tile(X, beside)
+    points[unknown] += stencil.step * np.repeat(stencil.places, n)
+    lanes = np.tile(np.arange(n), beside)
     values = function(equations.some(lanes).evaluate(points))
-    values = values.reshape(len(values), len(places), n)
-    return np.asarray(np.einsum("k,rkn->rn", weights, values) / step)
-
-
-def _residual(at: Evaluation) -> np.ndarray:
-    return at.residual
+    values = values.reshape(-1, beside, n)
+    weighted = (weight * values[:, k] for k, weight in enumerate(stencil.weights))
+    return total(weighted) / stencil.step
 
 
 def differentiated(
@@ -272,13 +353,8 @@ def differentiated(
         Derivatives by each of `DIFFERENTIATED` [the walker's units]; NaN where there
         is no gait, the walkers beside it are of another kind, or it has no such drive.
     """
-    wanted = [name for name in want if VARIABLES[name].group == SENSITIVITIES]
-    if not wanted:
-        return {}
-    of_walker = measures(problem.walker)
-    names = [name for name in map(_measure_of, wanted) if name in of_walker]
-    shape = (len(drive), len(DIFFERENTIATED))
-    found = {name: np.full(shape, np.nan) for name in wanted}
+    found = not_differentiated(want, len(drive))
+    names = measures_among(want, problem.walker)
     lanes = np.flatnonzero(at.converged & at.step)
     if not len(lanes) or not names:
         return found
@@ -287,30 +363,96 @@ def differentiated(
         Z = np.vstack([at.w[:, lanes[some]], np.log(slope)])
         # Its steps are differentiated by the slope, not by what drives there.
         own = Problem(driven.walker, driven.steps, driven.drive)
-        for column, name, values in _by_all_keys(own, Z, names):
-            found[f"{name}{BY_KEY}"][lanes[some], column] = values
+        rows = Rows(names)
+        jacobian = at.stride.jacobian[..., lanes[some]]
+        by_keys = rows.named(by_all_keys(own, Z, rows), jacobian)
+        for name, values in by_keys.items():
+            found[name + BY_KEY][lanes[some]] = values.T
     return found
 
 
-def _by_all_keys(
-    problem: Problem, Z: Coordinates, names: Sequence[str]
-) -> Iterator[tuple[int, str, np.ndarray]]:
-    """Yield the place of each key, and the derivatives (n,) by it of each measure."""
-    walker = problem.walker
+def not_differentiated(want: Sequence[str], n: int) -> Measured:
+    """Return the wanted variables of the group `sensitivities` of n gaits, all NaN."""
+    wanted = [name for name in want if VARIABLES[name].group == SENSITIVITIES]
+    return {name: np.full((n, len(DIFFERENTIATED)), np.nan) for name in wanted}
+
+
+def measures_among(want: Sequence[str], walker: Walker) -> tuple[str, ...]:
+    """Return the measures of a walker whose derivatives are among wanted variables."""
+    of_walker = measures(walker)
+    wanted = [name.removesuffix(BY_KEY) for name in not_differentiated(want, 0)]
+    return tuple(name for name in wanted if name in of_walker)
+
+
+def by_all_keys(problem: Problem, Z: Coordinates, rows: Rows) -> np.ndarray:
+    """Return the derivatives of rows by each of `DIFFERENTIATED`, shape (r, keys, n);
+    NaN by keys beside whose values walkers are of another kind.
+    """
+    by_keys, _ = _at_gaits(problem, Z, _keys_of(problem.walker), rows)
+    some = next(iter(by_keys.values()))
+    nowhere = np.full(some.shape, np.nan)
+    return np.stack([by_keys.get(key, nowhere) for key in DIFFERENTIATED], axis=1)
+
+
+def sizes_of_keys(walker: Walker, slope: np.ndarray) -> np.ndarray:
+    """Return the slopes and the characteristic sizes of the other keys, shape (keys,
+    n), over which the derivatives by them count.
+    """
+    sizes = [np.full(len(slope), _size(key, walker)) for key in DIFFERENTIATED[1:]]
+    return np.stack([slope, *sizes])
+
+
+def slope_by_keys(problem: Problem, condition: Condition, Z: Gait) -> dict[str, float]:
+    """Differentiate the slope of a special point by the keys of its walker.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one walker and one step, over slopes.
+    condition : Condition
+        That the point meets.
+    Z : ndarray, shape (c,)
+        The point.
+
+    Returns
+    -------
+    dict of float [rad, over the units of the keys]
+        By each key of the walker; without keys beside whose values
+        walkers are of another kind.
+
+    Notes
+    -----
+    The implicit function theorem for the gait's equations and the condition; by keys
+    these are differentiated by central differences. Beyond a least value of a key the
+    walkers' formulas go on.
+    """
+    found = {}
+    for key in _keys_of(problem.walker):
+        try:
+            keys = key.unknown(problem)
+        except WalkerError:
+            continue
+        beside = partial(_beside, problem.walker, key.name)
+        keys = replace(keys, walkers_at=beside)
+        equations = Equations(keys, [condition]).over(problem.drive)
+        X = np.append(Z, key.value / keys.scale)
+        by_key = sensitivity(equations, X)[-1, 0]
+        found[key.name] = float(np.exp(Z[-1]) * by_key)
+    return found
+
+
+def _beside(walker: Walker, key: str, values: np.ndarray) -> WalkerArray:
+    """The walkers that differ by values (1, n) of a key, valid or not."""
+    return WalkerArray(**(walker.table() | {key: values[0]}))
+
+
+def _keys_of(walker: Walker) -> list[KeyOfWalker]:
+    """The keys by which a walker's gaits are differentiated, besides the slope."""
     line = {"walker": walker.table(), "set": {}}
-    keys = [
+    return [
         KeyOfWalker(key, getattr(walker, key), walkers_over(line, key))
         for key in (*OF_PASSIVE[1:], *walker.driving_keys)
     ]
-    by_keys, _ = at_gaits(problem, Z, keys, names)
-    for key, derivatives in by_keys.items():
-        for name, values in derivatives.items():
-            yield DIFFERENTIATED.index(key), name, values
-
-
-def _measure_of(derivative: str) -> str:
-    """The measure whose derivatives a variable holds."""
-    return derivative.removesuffix(BY_KEY)
 
 
 def at_gaits(
@@ -323,16 +465,41 @@ def at_gaits(
 
     Parameters
     ----------
-    problem, Z, names
-        As for `by_slope`.
+    problem : Problem
+        Of one walker, over slopes.
+    Z : ndarray, shape (c, n)
+        Its gaits.
     keys : sequence of KeyOfWalker
+    names : sequence of str
+        Of `tasks.measures.levels.measures`.
+
+    Returns
+    -------
+    derivatives : dict of dict of ndarray, shape (n,)
+        By the names of the slope and of keys, those of each measure [the walker's units,
+        over rad or those of the key]; NaN where a gait is at a fold.
+    absent : dict of str
     """
-    of_gait = Equations(problem).at(Z).derivative
-    derivatives = {SLOPE: by_slope(problem, Z, of_gait, names)}
+    rows = Rows(tuple(names))
+    by_keys, absent = _at_gaits(problem, Z, keys, rows)
+    jacobian = Equations(problem).evaluate(Z).stride.jacobian
+    every = rows.named(np.stack([*by_keys.values()], axis=1), jacobian)
+    found: dict[str, Measured] = {}
+    for place, key in enumerate(by_keys):
+        found[key] = {name: values[place] for name, values in every.items()}
+    return found, absent
+
+
+def _at_gaits(
+    problem: Problem, Z: Coordinates, keys: Sequence[KeyOfWalker], rows: Rows
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Derivatives of rows (r, n) by slope and keys, and why there are none by some."""
+    gaits = _Neighbourhood.of(problem, Z, rows)
+    derivatives = {SLOPE: gaits.by_slope()}
     absent = {}
     for key in keys:
         try:
-            derivatives[key.name] = by_key(problem, Z, of_gait, key, names)
+            derivatives[key.name] = gaits.by_key(key)
         except WalkerError as error:
             absent[key.name] = str(error)
     return derivatives, absent

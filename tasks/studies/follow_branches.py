@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.locate import locate_root
 from gaitsweep.tasks.branches.lockstep import run
 from gaitsweep.tasks.branches.pseudo_arclength import Point
@@ -23,6 +24,7 @@ from gaitsweep.tasks.contract.tables import Arrays, nothing, stacked, table
 from gaitsweep.tasks.gaits.multipliers import multipliers
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures import violations
+from gaitsweep.tasks.measures.sensitivities import slope_by_keys
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Numbers, PerLane
 from gaitsweep.tasks.step.drive import HIP_TORQUE
 from gaitsweep.tasks.step.problem import EPS, Problem
@@ -38,6 +40,8 @@ COLUMNS = (
     *("period", "kneestrike_time", "spectral_radius", "stable", "gait"),
 )
 SPECIAL = ("branch", "kind", "slope", "stance_angle", *RATES, "period", "error_bound")
+#: Columns of the table `special_sensitivities`.
+DERIVATIVES = ("branch", "kind", "slope", "key", "slope_by_key")
 #: Largest number of points between two nodes; a window that needs more is too narrow.
 _MAX_PARTS = 65536
 #: Walkers of different torques that are measured at once.
@@ -45,6 +49,8 @@ _AT_ONCE = 128
 #: Least share of ln slope in a branch's direction for points to be corrected at their
 #: slopes.
 _STEEP = 1e-2
+#: A special point, after the number of its branch.
+_Numbered = tuple[int, Mapping[str, Any]]
 
 
 def branch(
@@ -59,7 +65,8 @@ def branch(
         that does; `slope_from`, `slope_to`, the window of slopes [rad] or of that key
         [the walker's units]; `n`, the least number of points of a branch in it, or
         `adaptive`, the tolerance of linear interpolation between them; `steps` after
-        which the gaits repeat.
+        which the gaits repeat; `sensitivities`, whether the
+        slopes of special points are differentiated.
     inputs : list
         The line's atlas, of the same `steps`.
 
@@ -70,7 +77,8 @@ def branch(
         shank_rate, period, kneestrike_time, spectral_radius, stable, gait) and
         `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate,
         shank_rate, period, error_bound), in the walker's units; `along` takes the place
-        of the slope.
+        of the slope. Where these are wanted `special_sensitivities` (branch, kind, slope,
+        key, slope_by_key).
     """
     problem, unit = followed_over(params, int(params.get("steps", 1)))
     window = np.array([params["slope_from"], params["slope_to"]], float)
@@ -78,7 +86,7 @@ def branch(
     least = int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
     parts: list[tuple[Any, ...]] = []
-    points: list[tuple[Any, ...]] = []
+    special: list[_Numbered] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
         if tolerance:
             Z = chosen(problem, curve, low, high, tolerance)
@@ -87,10 +95,13 @@ def branch(
         if Z.shape[1]:
             parts.append((number, *_columns(problem, Z, unit)))
             for point in _special_within(problem, curve, low, high):
-                points.append((number, *_special_row(problem, point, unit)))
+                special.append((number, point))
 
     tables = stacked("branches", parts, _over(problem, COLUMNS))
-    tables |= table("special_points", points, _over(problem, SPECIAL))
+    tables |= _special_table(problem, special, unit)
+    if params.get("sensitivities"):
+        rows = [*_derivatives(problem, special)]
+        tables |= table("special_sensitivities", rows, DERIVATIVES)
     return tables if parts else tables | _none(problem, window)
 
 
@@ -147,7 +158,7 @@ def _special_within(
 
 
 def _special_row(
-    problem: Problem, point: dict[str, Any], unit: float
+    problem: Problem, point: Mapping[str, Any], unit: float
 ) -> tuple[Any, ...]:
     """Row of the table `special_points` after the first column; `unit` is that of what
     drives.
@@ -161,6 +172,28 @@ def _special_row(
         point["period"] * time_unit,
         point["error_bound"],
     )
+
+
+def _special_table(
+    problem: Problem, special: Sequence[_Numbered], unit: float
+) -> dict[str, ndarray]:
+    """The table of special points; `unit` is that of what drives."""
+    points = [
+        (number, *_special_row(problem, point, unit)) for number, point in special
+    ]
+    return table("special_points", points, _over(problem, SPECIAL))
+
+
+def _derivatives(
+    problem: Problem, special: Sequence[_Numbered]
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of the table `special_sensitivities`."""
+    for number, point in special:
+        if point.get("condition"):
+            condition = CONDITIONS[point["condition"]]
+            by_keys = slope_by_keys(problem, condition, np.array(point["Z"]))
+            for key, by_key in by_keys.items():
+                yield number, point["kind"], point["slope"], key, by_key
 
 
 def contact_lost(

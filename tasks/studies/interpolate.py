@@ -20,7 +20,7 @@ from gaitsweep.tasks.charts.chart import Chart
 from gaitsweep.tasks.charts.family import Family
 from gaitsweep.tasks.charts.patch import Patch, measured
 from gaitsweep.tasks.charts.pieces import Piece, pieces_of
-from gaitsweep.tasks.charts.sheet import Asked, Sampled, Sheet, fit_sheets
+from gaitsweep.tasks.charts.sheet import Asked, Sampled, Sheet, Solve, fit_sheets
 from gaitsweep.tasks.charts.span import Span
 from gaitsweep.tasks.contract import status
 from gaitsweep.tasks.contract.accuracy import nodes_for
@@ -179,6 +179,65 @@ def panels_over(
     return panels
 
 
+def fit_panels(
+    pieces: Sequence[Piece],
+    log_slope: np.ndarray,
+    solve: Solve,
+    nodes: int,
+    good: float,
+    narrowest: float = 0.0,
+) -> list[list[Sheet]]:
+    """Fit sheets over the panels of pieces that hold some slopes.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+    log_slope : ndarray, shape (n,)
+    solve, good
+        As for `fit_sheets`.
+    nodes : int
+        Those of each panel: where they do not suffice it is halved.
+    narrowest : float
+        The least part of a panel.
+
+    Returns
+    -------
+    list of list of Sheet
+        Those of each piece by rising slope.
+    """
+    q = np.sort(log_slope)
+
+    def is_needed(span: Span) -> bool:
+        low, high = span.bounds
+        after = np.searchsorted(q, high, side="right")
+        is_wide = span.part[1] - span.part[0] >= narrowest
+        return bool(after > np.searchsorted(q, low)) and is_wide
+
+    panels: list[Asked] = []
+    for k, piece in enumerate(pieces):
+        covered = q[piece.covered(q)]
+        panels += panels_over(k, *piece.q, piece.folds, covered, nodes)
+    sheets: list[list[Sheet]] = [[] for _ in pieces]
+    for k, sheet in fit_sheets(panels, solve, good, is_needed):
+        sheets[k].append(sheet)
+    for of_piece in sheets:
+        of_piece.sort(key=lambda sheet: sheet.span.bounds)
+    return sheets
+
+
+def on_sheets(
+    sheets: Sequence[Sheet], q: np.ndarray
+) -> Iterator[tuple[Sheet, np.ndarray]]:
+    """Yield sheets of a piece, by rising slope, with the numbers of the ln slopes (n,)
+    that are nearest to each from above.
+    """
+    edges = [sheet.span.bounds[0] for sheet in sheets]
+    of_sheet = np.searchsorted(edges, q, side="right") - 1
+    of_sheet = np.maximum(of_sheet, 0)
+    for number in np.unique(of_sheet).tolist():
+        yield sheets[number], np.flatnonzero(of_sheet == number)
+
+
 def _away_from_ends(piece: Piece, q: np.ndarray) -> np.ndarray:
     """Whether gaits of a piece at ln slopes (n,) are farther from its ends than their
     errors reach; at a fold all are.
@@ -216,26 +275,13 @@ class Interpolation:
         self.wanted = wanted
         self.smooth = Smooth.of(problem.walker, wanted.names, problem.m)
         self.pieces = pieces_of(branches)
-        q = np.sort(np.log(slope))
-
-        def is_needed(span: Span) -> bool:
-            low, high = span.bounds
-            after = np.searchsorted(q, high, side="right")
-            return bool(after > np.searchsorted(q, low))
-
-        panels: list[Asked] = []
-        nodes = nodes_for(wanted.accuracy)
-        for k, piece in enumerate(self.pieces):
-            covered = q[piece.covered(q)]
-            panels += panels_over(k, *piece.q, piece.folds, covered, nodes)
-        good = _SHARE * wanted.accuracy
-        fitted = fit_sheets(panels, self._solve, good, is_needed)
-
-        self.sheets: list[list[Sheet]] = [[] for _ in self.pieces]
-        for k, sheet in fitted:
-            self.sheets[k].append(sheet)
-        for sheets in self.sheets:
-            sheets.sort(key=lambda sheet: sheet.span.bounds)
+        self.sheets = fit_panels(
+            self.pieces,
+            np.log(slope),
+            self._solve,
+            nodes_for(wanted.accuracy),
+            _SHARE * wanted.accuracy,
+        )
 
     def _solve(
         self, asked: Sequence[Asked], points: Sequence[np.ndarray]
@@ -328,13 +374,9 @@ class Interpolation:
         lost[index[~inside]] = True
         index = index[inside]
 
-        edges = [sheet.span.bounds[0] for sheet in sheets]
-        of_sheet = np.searchsorted(edges, q[index], side="right") - 1
-        of_sheet = np.maximum(of_sheet, 0)
         numbers = piece.number, piece.place
-        for number in np.unique(of_sheet).tolist():
-            some = index[of_sheet == number]
-            sheet = sheets[number]
+        for sheet, on_sheet in on_sheets(sheets, q[index]):
+            some = index[on_sheet]
             if sheet.chart is None:
                 lost[some] = True
                 continue

@@ -25,12 +25,15 @@ class Request:
         After which the gaits repeat.
     interpolated : bool
         Whether polynomials give the gaits where they reach the accuracy.
+    charted : bool
+        Whether polynomials give the derivatives of gaits where they suffice.
     """
 
     slope: np.ndarray
     wanted: Wanted
     steps: int = 1
     interpolated: bool = False
+    charted: bool = False
 
     @property
     def is_converted(self) -> bool:
@@ -40,7 +43,7 @@ class Request:
     @property
     def key(self) -> tuple[Any, ...]:
         """What tells requests apart."""
-        kind = repr(self.wanted), self.steps, self.interpolated
+        kind = repr(self.wanted), self.steps, self.interpolated, self.charted
         return self.slope.tobytes(), *kind
 
     @classmethod
@@ -53,4 +56,5 @@ class Request:
             wanted=Wanted.of(params),
             steps=int(params.get("steps", 1)),
             interpolated=bool(params.get("interpolated", False)),
+            charted=bool(params.get("charted", False)),
         )

@@ -15,7 +15,7 @@ import numpy as np
 from gaitsweep.tasks.contract.tables import Arrays
 from gaitsweep.tasks.gaits.polish import Guesses, Polished
 from gaitsweep.tasks.measures.gaits import Part, Wanted, describe
-from gaitsweep.tasks.measures.sensitivities import differentiated
+from gaitsweep.tasks.measures.sensitivities import Measured, differentiated
 from gaitsweep.tasks.step.lanes import join_lanes, lanes_of, slices
 from gaitsweep.tasks.step.problem import Problem
 
@@ -25,6 +25,8 @@ _BLOCK = 4096
 _INTERPOLATED_BLOCK = 1 << 14
 
 Settle = Callable[[Problem, Guesses], Polished]
+#: What `differentiated` does.
+Differentiate = Callable[[Problem, Polished, np.ndarray, Sequence[str]], Measured]
 
 
 def block_size(is_interpolated: bool) -> int:
@@ -99,6 +101,7 @@ def solve_guesses(
     settle: Settle,
     wanted: Wanted,
     alone: Sequence[tuple[Problem, int]] = (),
+    differentiate: Differentiate = differentiated,
 ) -> Solved:
     """Settle groups of guesses side by side, and measure the gaits.
 
@@ -114,6 +117,8 @@ def solve_guesses(
     alone : sequence of (Problem, int)
         Walkers whose gaits are measured each by themselves, and how many each has, one
         after another; without, all are measured at once.
+    differentiate : callable
+        Gives the wanted variables of the group `sensitivities`.
     """
     together: Guesses = join_lanes(guesses)
     lanes = slices([len(group.slope) for group in guesses])
@@ -126,7 +131,7 @@ def solve_guesses(
         gaits = lanes_of(at, some) if alone else at
         slope = together.slope[some]
         of_walker = describe(walker, gaits, slope, wanted.names, wanted.limits)
-        of_walker |= differentiated(walker, gaits, slope, wanted.names)
+        of_walker |= differentiate(walker, gaits, slope, wanted.names)
         measured.append(of_walker)
 
     variables = measured[0]

@@ -30,9 +30,11 @@ from gaitsweep.tasks.measures.gaits import (
     store,
     to_accuracy,
 )
+from gaitsweep.tasks.measures.sensitivities import differentiated
 from gaitsweep.tasks.mechanics.kernel import is_compact
 from gaitsweep.tasks.mechanics.lumped import Structure, alike
 from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.studies.chart_derivatives import ChartedDerivatives
 from gaitsweep.tasks.studies.follow_cycles import cycle_branches
 from gaitsweep.tasks.studies.followed import followed_over
 from gaitsweep.tasks.studies.interpolate import Interpolation
@@ -43,7 +45,7 @@ from gaitsweep.tasks.studies.solve_driven import (
     in_units,
 )
 from gaitsweep.tasks.studies.solve_driven import searched as searched_driven
-from gaitsweep.tasks.studies.solve_guesses import blocks, solve_guesses
+from gaitsweep.tasks.studies.solve_guesses import Differentiate, blocks, solve_guesses
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.scaling import plain_line, scales, units
 from gaitsweep.tasks.walkers.walker import Walker
@@ -164,7 +166,13 @@ def solve_line(
     polynomials = None
     if request.interpolated:
         polynomials = Interpolation(problem, branches, request.wanted, request.slope)
-    (solved,) = _solve_branches(problem, [line], [branches], request, polynomials)
+    charted = None
+    if request.charted:
+        names = request.wanted.names
+        charted = ChartedDerivatives(problem, branches, names, request.slope)
+    (solved,) = _solve_branches(
+        problem, [line], [branches], request, polynomials, charted
+    )
     return solved
 
 
@@ -211,7 +219,7 @@ def _solve_driven(
     problem, drive = driven(walker, slope, request.steps)
     if not drive:
         return _undriven(walker, slope, request)
-    here = replace(request, slope=np.array([drive]), interpolated=False)
+    here = replace(request, slope=np.array([drive]), interpolated=False, charted=False)
     (solved,) = _solve_branches(problem, [line], [branches_of(problem)], here)
     return solved
 
@@ -413,11 +421,12 @@ def _solve_branches(
     atlas: Sequence[list[Branch]],
     request: Request,
     polynomials: Interpolation | None = None,
+    charted: ChartedDerivatives | None = None,
 ) -> list[Arrays]:
     """Solve the gaits of several lines of one structure; `problem` has a lane for each.
 
     With `polynomials`, of a single line, only gaits that these do not give are
-    integrated.
+    integrated; with `charted`, of a single line too, so are derivatives.
     """
     n = len(request.slope)
     wanted = request.wanted
@@ -428,7 +437,7 @@ def _solve_branches(
     asked = replace(request, wanted=replace(wanted, names=names))
     for some in blocks(n, polynomials is not None):
         block = replace(asked, slope=request.slope[some])
-        parts = _solve_block(problem, atlas, block, polynomials)
+        parts = _solve_block(problem, atlas, block, polynomials, charted)
         for out, of_line in zip(results, parts, strict=True):
             store({name: out[name][some] for name in names}, of_line, wanted.labels)
 
@@ -472,6 +481,7 @@ def _solve_block(
     atlas: Sequence[list[Branch]],
     request: Request,
     polynomials: Interpolation | None,
+    charted: ChartedDerivatives | None,
 ) -> list[list[Part]]:
     """Gaits of several lines, of each its parts: those of the polynomials, and those
     that are integrated.
@@ -488,11 +498,9 @@ def _solve_block(
     if not guessed:
         return parts
 
-    lines = np.concatenate([np.full(len(guess.index), guess.line) for guess in guessed])
+    lines = np.concatenate([guess.lines for guess in guessed])
     alone = {guess.line: problem.alone(guess.line) for guess in guessed}
-    places = [
-        (alone[guess.line], guess.piece.branch, guess.segment) for guess in guessed
-    ]
+    places = [(alone[guess.line], *guess.place) for guess in guessed]
     settle = partial(
         settle_on_branches, places=places, accuracy=request.wanted.accuracy
     )
@@ -502,12 +510,21 @@ def _solve_block(
         settle,
         request.wanted,
         [(walker, int((lines == i).sum())) for i, walker in alone.items()],
+        _differentiating(charted, guessed),
     )
     for k, guess in enumerate(guessed):
-        parts[guess.line].append(
-            solved.part(k, guess.index, guess.numbers, guess.ratio)
-        )
+        part = solved.part(k, guess.index, guess.numbers, guess.ratio)
+        parts[guess.line].append(part)
     return parts
+
+
+def _differentiating(
+    charted: ChartedDerivatives | None, guessed: Sequence[_Guessed]
+) -> Differentiate:
+    """What differentiates gaits by guesses."""
+    if charted is None:
+        return differentiated
+    return charted.of([(guess.piece, len(guess.index)) for guess in guessed])
 
 
 def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
@@ -582,6 +599,16 @@ class _Guessed:
     def numbers(self) -> tuple[int, int]:
         """Those of the branch and of the piece."""
         return self.piece.number, self.piece.place
+
+    @property
+    def lines(self) -> np.ndarray:
+        """The number of the line of each."""
+        return np.full(len(self.index), self.line)
+
+    @property
+    def place(self) -> tuple[Branch, np.ndarray]:
+        """Their branch, and their segments."""
+        return self.piece.branch, self.segment
 
     @property
     def ratio(self) -> np.ndarray:

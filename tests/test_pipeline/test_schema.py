@@ -175,7 +175,7 @@ MORE = [
         **_E,
         "kind": "branch",
         "axes": {"slope": {"from": 0.01, "to": 0.02, "adaptive": 1e-3}},
-        "options": {"steps": 1},
+        "options": {"steps": 1, "sensitivities": True},
     },
     {
         **_E,

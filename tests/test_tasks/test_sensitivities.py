@@ -5,6 +5,9 @@ import pytest
 
 import gaitsweep
 from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.tasks.branches.atlas import from_arrays
+from gaitsweep.tasks.studies.request import Request
+from gaitsweep.tasks.studies.solve_points import atlas, solve_line
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import KEYS
 
@@ -225,3 +228,49 @@ variables = ["stance_angle", "period", "speed", "sensitivities"]
                     one[name].sel(gait="long", key=key),
                     rtol=1e-7,
                 )
+
+
+@pytest.mark.parametrize(
+    ("walker", "window"),
+    [
+        ("D", (0.001, 0.015)),
+        ("E", (0.005, 0.02)),
+        pytest.param("physical-straight", (0.0154, 0.05), marks=SLOW),
+        pytest.param("C", (0.01, 0.06), marks=SLOW),
+    ],
+)
+def test_polynomials_of_long_lines_give_the_derivatives_of_single_gaits(walker, window):
+    """The physical walker's window begins at a fold. Errors count over the larger of derivative
+    and measure; beside meetings of multipliers the radius has larger ones.
+    """
+    names = ["stance_angle", "period", "loss_normal", "spectral_radius"]
+    want = [*names, "sensitivities"]
+    slopes = np.linspace(*window, 300)
+    long = gaitsweep.gaits(walker, slopes, variables=want)
+    few = np.arange(0, 300, 23)
+
+    single = gaitsweep.gaits(walker, slopes[few], variables=want)
+
+    for name in names:
+        ours = long[f"{name}_by_key"].values[few, :2]
+        theirs = single[f"{name}_by_key"].values[:, :2]
+        for by_slope in (ours[..., 0], theirs[..., 0]):
+            by_slope *= slopes[few, None]
+        np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs))
+        size = np.abs(theirs) + np.abs(single[name].values[:, :2, None])
+        assert np.nanmax(np.abs(ours - theirs) / size) < 2e-8
+        assert (ours != theirs)[np.isfinite(ours)].any()
+
+
+def test_derivatives_of_long_lines_do_not_depend_on_how_they_are_cut():
+    line = {"walker": "D", "set": {}}
+    branches = from_arrays(atlas({"line": line}, []))
+    slopes = np.linspace(0.002, 0.012, 40)
+
+    def derivatives(some):
+        want = ("period", "period_by_key")
+        asked = {"slope": some, "want": want, "charted": True}
+        return solve_line(line, branches, Request.of(asked))["period_by_key"]
+
+    parts = [derivatives(some) for some in np.split(slopes, [3, 21])]
+    np.testing.assert_array_equal(derivatives(slopes), np.concatenate(parts))

@@ -7,10 +7,11 @@ from gaitsweep.tasks.branches.atlas import survey, to_arrays
 from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.special_points import passings
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.studies.follow_branches import branch
+from gaitsweep.tasks.studies.follow_branches import DERIVATIVES, branch
 from gaitsweep.tasks.studies.map_step import map_step
 from gaitsweep.tasks.studies.solve_points import atlas
 from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.walker import KEYS
 from lines import branches
 
 FLIP = CONDITIONS["flip"]
@@ -126,3 +127,74 @@ def test_two_flips_between_two_nodes_are_both_located():
     assert slopes == pytest.approx([0.0085101, 0.0098504], rel=2e-3)
     places = [place for place, _ in located]
     assert int(places[0]) == int(places[1]) == int(flips[0])
+
+
+def _special(walker, window, **keys):
+    """Slopes of special points by kind, in their order along branches; and their
+    derivatives by kind and key.
+    """
+    line = {"walker": walker, "set": keys}
+    params = {"line": line, "slope_from": window[0], "slope_to": window[1], "n": 2}
+    tables = branch({**params, "sensitivities": True}, [atlas(params, [])])
+    rows = [tables[f"special_sensitivities/{name}"] for name in DERIVATIVES]
+    slopes, by_key = {}, {}
+    for _, kind, slope, key, value in zip(*rows, strict=True):
+        slopes.setdefault(kind, []).append(slope)
+        by_key.setdefault((kind, key), []).append(value)
+    return {kind: [*dict.fromkeys(every)] for kind, every in slopes.items()}, by_key
+
+
+#: The walker, the window, kinds, and keys with their steps; one key has its least value.
+MOVED = [
+    (
+        "physical-straight",
+        (0.01, 0.1),
+        {"fold", "end_tangential_heelstrike"},
+        {"w_t": 1e-5, "R": 1e-5, "m_h": 1e-3},
+    ),
+    pytest.param(
+        "physical",
+        (0.015, 0.06),
+        {"fold", "flip", "end_kneestrike_at_heelstrike", "release_hyperextension"},
+        {"w_t": 1e-6, "c_s": 1e-6, "m_h": 1e-4},
+        marks=pytest.mark.thorough,
+    ),
+]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("walker", "window", "kinds", "steps"), MOVED)
+def test_slopes_of_special_points_move_as_those_located_again(
+    walker, window, kinds, steps
+):
+    slopes, by_key = _special(walker, window)
+    assert kinds <= set(slopes)
+
+    for key, step in steps.items():
+        value = getattr(resolve(walker), key)
+        lower = value if value < step else value - step
+        middle = 2 * value + step if value < step else value
+        below, _ = _special(walker, window, **{key: lower})
+        above, _ = _special(walker, window, **{key: value + step})
+        for kind in kinds:
+            difference = np.subtract(above[kind], below[kind]) / (value + step - lower)
+            # On one side the quotient is that in the middle.
+            within = 1e-4 if middle == value else 2e-2
+            np.testing.assert_allclose(by_key[kind, key], difference, rtol=within)
+
+
+@pytest.mark.parametrize(("walker", "window", "kinds", "steps"), MOVED)
+def test_slopes_of_special_points_have_no_units(walker, window, kinds, steps):
+    """Euler's theorem: of a slope the sum of p d/dp over lengths, or masses, is 0."""
+    _, by_key = _special(walker, window)
+
+    for kind in kinds:
+        for quantity in ("length", "mass"):
+            terms = [
+                getattr(resolve(walker), key) * np.array(by_key[kind, key])
+                for key, of_key in KEYS.items()
+                if of_key == quantity
+            ]
+            size = np.abs(terms).sum(axis=0)
+            assert (np.abs(np.sum(terms, axis=0)) < 1e-6 * size).all(), kind
+        assert (np.abs(by_key[kind, "g"]) < 1e-9).all()
