@@ -361,10 +361,11 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     if name == "detuning":
         meaning = of_axis(name, study.checks)["long_name"]
     attributes = units.described(over_steps(meaning, study.steps), kind, study.checks)
-    if study.kind == "curve" and group in ("curves", "turnings"):
+    if study.kind == "curve" and group in ("curves", "turnings", "meetings"):
         options = registry.options("curve", study.options)
         keys = [*(options["plane"] or [options["key"]])]
         columns = dict(zip(("value", "other_value"), keys, strict=False))
+        columns["value_error"] = keys[0]
         if name in columns:
             attributes["units"] = units.axis_units(columns[name], study.checks)
     return attributes

@@ -28,6 +28,7 @@ from gaitsweep.tasks.branches.equations import (
     correct_on_curve,
     slope_error,
 )
+from gaitsweep.tasks.branches.meetings import meetings, met
 from gaitsweep.tasks.branches.special_points import RATES, passings, special_points
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
@@ -52,6 +53,7 @@ _BESIDE = 1e-3
 _PLACE = ("slope", "key", "value", "stance_angle", *RATES, "period", "error_bound")
 _CURVES = ("curve", "kind", *_PLACE, "walks", "stopped")
 _TURNINGS = ("curve", "kind", "turn", *_PLACE)
+_MEETINGS = ("curve", "kind", "point", "meets", *_PLACE, "value_error")
 
 
 def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -74,9 +76,11 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         Tables `curves` (curve, kind, slope, key, value, stance_angle, stance_rate,
         thigh_rate, shank_rate, period, error_bound, walks, and at its ends `stopped`:
         why it was followed no further; over a `plane` at fixed slopes also `other_key`
-        and `other_value`) and `turnings` (turning points of key or slope
-        along a curve: curve, kind, turn, and from slope to error_bound the same), in
-        the walker's units.
+        and `other_value`), `turnings` (turning points of key or slope
+        along a curve: curve, kind, turn, and from slope to error_bound the same) and
+        `meetings` (codimension-two points along a curve: curve, kind, point, its name,
+        meets, the other condition, the same, and value_error, the bound on the key's
+        error), in the walker's units.
 
     Raises
     ------
@@ -92,7 +96,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     key = str(options["key"])
     keys = _keys(line, key, float(options["from"]), float(options["to"]))
     window = _Window((slope.min(), slope.max()), keys)
-    tables = _Tables([], [])
+    tables = _Tables([], [], [])
     value = value_of_key(line, key)
     for begin in _beginnings(value, keys):
         problem = Problem(keys.walker_at(begin))
@@ -106,6 +110,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
     found = table("curves", tables.curves, _CURVES)
     found |= table("turnings", tables.turnings, _TURNINGS)
+    found |= table("meetings", tables.meetings, _MEETINGS)
     return found if tables.curves else found | nothing(_NO_START)
 
 
@@ -145,10 +150,11 @@ class _Window:
 
 
 class _Tables(NamedTuple):
-    """Rows of both tables."""
+    """Rows of the tables."""
 
     curves: list[tuple[Any, ...]]
     turnings: list[tuple[Any, ...]]
+    meetings: list[tuple[Any, ...]]
 
 
 def _conditions(options: Mapping[str, Any], walker: Walker) -> dict[str, Condition]:
@@ -173,6 +179,7 @@ def _follow_all(
     there is any.
     """
     seen: list[tuple[str, ndarray]] = []
+    others = met(conditions, window.keys.structure.kneed)
     for kind, Z in seeds:
         equations = Equations(window.keys, [conditions[kind]])
         guess = np.append(Z, begin / window.keys.scale)[:, None]
@@ -197,6 +204,11 @@ def _follow_all(
         tables.turnings.extend(
             _turning_rows(number, kind, equations, points, tangents, window)
         )
+        for each in meetings(equations, points, tangents, others):
+            place = _place(equations, each.X, window)
+            errors = each.error * np.hstack([1.0, window.keys.scale])
+            head = number, kind, each.name, each.meets
+            tables.meetings.append((*head, *place, *errors.tolist()))
     return bool(seen)
 
 
