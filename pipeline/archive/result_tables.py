@@ -15,6 +15,7 @@ from gaitsweep.pipeline.archive.written import write_strings, write_variable
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.study import units
 from gaitsweep.pipeline.study.fields import EXTRA_AXES
+from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.columns import table_columns
 
@@ -377,10 +378,16 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     if study.drive and name != "slope" and "slope" in meaning:
         kind, meaning = _of_drive(study.drive, kind, meaning)
     attributes = units.described(over_steps(meaning, study.steps), kind, study.checks)
-    if study.kind == "curve" and group in ("curves", "turnings"):
-        options = registry.options("curve", study.options)
-        keys = [*(options["plane"] or [options["key"]])]
-        columns = dict(zip(("value", "other_value"), keys, strict=False))
-        if name in columns:
-            attributes["units"] = units.axis_units(columns[name], study.checks)
+    if study.kind == "curve" and group in ("curves", "turnings", "meetings"):
+        key = _keys_of_values(study).get(name)
+        if key:
+            attributes["units"] = units.axis_units(key, study.checks)
     return attributes
+
+
+def _keys_of_values(study: Study) -> dict[str, str]:
+    """The keys whose values columns of a study of curves hold."""
+    options = registry.options("curve", study.options)
+    keys = [*(options["plane"] or [options["key"]])]
+    held = dict(zip(("value", "other_value"), keys, strict=False))
+    return {**held, "value_error": keys[0]}

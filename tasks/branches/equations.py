@@ -603,8 +603,6 @@ _STATES, _APART = 4, 1e-11
 _SAFETY, _VARIED = 8.0, 1e-6
 
 
-# Where heelstrike is tangential to the last digit the map has no derivative.
-@np.errstate(invalid="ignore", over="ignore", divide="ignore")
 def slope_error(problem: Problem, condition: Condition, Z: Gait) -> float:
     """Return a bound on the relative error of a special point's slope.
 
@@ -620,33 +618,62 @@ def slope_error(problem: Problem, condition: Condition, Z: Gait) -> float:
     -------
     float
         Infinite where the defining equations are singular.
+    """
+    return float(errors(Equations(problem, [condition]), Z, 1)[0])
+
+
+# Where heelstrike is tangential to the last digit the map has no derivative.
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
+def errors(equations: Equations, X: Gait, last: int) -> ndarray:
+    """Return bounds on the errors of a point's last unknowns.
+
+    Parameters
+    ----------
+    equations : Equations
+        As many as unknowns, of one walker or over its keys.
+    X : ndarray, shape (u,)
+        The point.
+    last : int
+        Number of unknowns, such as ln slope and a key.
+
+    Returns
+    -------
+    ndarray, shape (last,)
+        Infinite where the defining equations are singular.
 
     Notes
     -----
-    To first order the slope is off by what solves the linearised equations for their own
+    To first order an unknown is off by what solves the linearised equations for their own
     values at the point, and by as much as rounding changes these values. Beside the
     residual that is the scalar, above all: the determinants of flips add the rounding of
     every derivative. Rounding is measured: in other units every operation rounds anew.
     That of the walker's constants, which no change of units shows, is half a unit in
     each one's last place.
     """
-    matrix = Equations(problem, [condition]).at(Z[:, None]).derivative[..., 0]
+    matrix = equations.at(X[:, None]).derivative[..., 0]
     if not np.isfinite(matrix).all() or not np.linalg.cond(matrix) < 1 / EPS:
-        return np.inf
-    slope_by_values = np.linalg.solve(matrix.T, np.eye(len(matrix))[-1])
+        return np.full(last, np.inf)
+    by_values = np.linalg.solve(matrix.T, np.eye(len(matrix))[:, -last:])
 
-    at = _in_units_and_varied(problem, Z[:, None])
-    values = np.vstack([at.residual, condition.residual(at)])
-    off = total(slope_by_values[:, None] * values)
+    Z, _ = equations.split(X[:, None])
+    at = _in_units_and_varied(equations.problem_at(X[:, None]).alone(0), Z)
+    scalars = [condition.residual(at) for condition in equations.conditions]
+    values = np.vstack([at.residual, *scalars])
+    off = total(by_values[:, :, None] * values[:, None])
+    bounds = [_bound_of_unknown(each) for each in off]
+    return np.nan_to_num(np.array(bounds), nan=np.inf)
 
+
+def _bound_of_unknown(off: ndarray) -> float:
+    """Bound on the error of an unknown, by how far it is off in other units, with varied
+    constants and at the point itself, in the order of `_in_units_and_varied`.
+    """
     n_states = _STATES * len(UNITS)
     by_rounding = off[:n_states].reshape(_STATES, -1)
     variance = by_rounding.var(axis=1, ddof=1).mean()
     up, down = np.split(off[n_states:-1], 2)
     by_constants = np.abs((down - up) / (2 * _VARIED)).sum()
-
-    bound = abs(off[-1]) + _SAFETY * np.sqrt(variance) + EPS / 2 * by_constants
-    return float(np.nan_to_num(bound, nan=np.inf))
+    return float(abs(off[-1]) + _SAFETY * np.sqrt(variance) + EPS / 2 * by_constants)
 
 
 def _in_units_and_varied(problem: Problem, Z: Coordinates) -> Evaluation:

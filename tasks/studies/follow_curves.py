@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from gaitsweep.tasks.branches.equations import (
     correct_on_curve,
     slope_error,
 )
+from gaitsweep.tasks.branches.meetings import meetings, met
 from gaitsweep.tasks.branches.special_points import RATES, passings, special_points
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
@@ -52,6 +54,7 @@ _BESIDE = 1e-3
 _PLACE = ("slope", "key", "value", "stance_angle", *RATES, "period", "error_bound")
 _CURVES = ("curve", "kind", *_PLACE, "walks", "stopped")
 _TURNINGS = ("curve", "kind", "turn", *_PLACE)
+_MEETINGS = ("curve", "kind", "point", "meets", *_PLACE, "value_error")
 
 
 def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -74,9 +77,11 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         Tables `curves` (curve, kind, slope, key, value, stance_angle, stance_rate,
         thigh_rate, shank_rate, period, error_bound, walks, and at its ends `stopped`:
         why it was followed no further; over a `plane` at fixed slopes also `other_key`
-        and `other_value`) and `turnings` (turning points of key or slope
-        along a curve: curve, kind, turn, and from slope to error_bound the same), in
-        the walker's units.
+        and `other_value`), `turnings` (turning points of key or slope
+        along a curve: curve, kind, turn, and from slope to error_bound the same) and
+        `meetings` (codimension-two points along a curve: curve, kind, point, its name,
+        meets, the other condition, the same, and value_error, the bound on the key's
+        error), in the walker's units.
 
     Raises
     ------
@@ -92,7 +97,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     key = str(options["key"])
     keys = _keys(line, key, float(options["from"]), float(options["to"]))
     window = _Window((slope.min(), slope.max()), keys)
-    tables = _Tables([], [])
+    tables = _Tables([], [], [])
     value = value_of_key(line, key)
     for begin in _beginnings(value, keys):
         problem = Problem(keys.walker_at(begin))
@@ -106,6 +111,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
     found = table("curves", tables.curves, _CURVES)
     found |= table("turnings", tables.turnings, _TURNINGS)
+    found |= table("meetings", tables.meetings, _MEETINGS)
     return found if tables.curves else found | nothing(_NO_START)
 
 
@@ -145,10 +151,11 @@ class _Window:
 
 
 class _Tables(NamedTuple):
-    """Rows of both tables."""
+    """Rows of the tables."""
 
     curves: list[tuple[Any, ...]]
     turnings: list[tuple[Any, ...]]
+    meetings: list[tuple[Any, ...]]
 
 
 def _conditions(options: Mapping[str, Any], walker: Walker) -> dict[str, Condition]:
@@ -173,12 +180,12 @@ def _follow_all(
     there is any.
     """
     seen: list[tuple[str, ndarray]] = []
+    others = met(conditions, window.keys.structure.kneed)
     for kind, Z in seeds:
         equations = Equations(window.keys, [conditions[kind]])
         guess = np.append(Z, begin / window.keys.scale)[:, None]
         first = correct_on_curve(equations, guess, across_last(len(guess)))
-        on_curve = [X for other, X in seen if other == kind]
-        if not first.ok[0] or any(same(first.Z[:, 0], X, SAME_POINT) for X in on_curve):
+        if not first.ok[0] or _is_among(seen, kind, first.Z[:, 0]):
             continue
 
         points, tangents, stopped = follow_both_directions(
@@ -188,16 +195,53 @@ def _follow_all(
         # points.
         returns = at_value(equations, points, first.Z[-1, 0])
         seen += [(kind, X) for X in (first.Z[:, 0], *returns)]
-        number = len({row[0] for row in tables.curves})
-
-        def placed(X: ndarray, equations: Equations = equations) -> tuple[Any, ...]:
-            return (*_place(equations, X, window), _error(equations, X, window))
-
-        tables.curves.extend(rows((number, kind), equations, points, stopped, placed))
-        tables.turnings.extend(
-            _turning_rows(number, kind, equations, points, tangents, window)
-        )
+        head = len({row[0] for row in tables.curves}), kind
+        placed = partial(_placed, equations, window)
+        tables.curves.extend(rows(head, equations, points, stopped, placed))
+        _write_points(tables, head, (equations, points, tangents), others, window)
     return bool(seen)
+
+
+def _write_points(
+    tables: _Tables,
+    head: tuple[int, str],
+    curve: tuple[Equations, ndarray, ndarray],
+    others: Mapping[str, Condition],
+    window: _Window,
+) -> None:
+    """Add rows of the turning points of a curve, and of where it meets others."""
+    equations, points, tangents = curve
+    turns = _turning_rows(*head, equations, points, tangents, window)
+    meets = _meeting_rows(others, *head, equations, points, tangents, window)
+    tables.turnings.extend(turns)
+    tables.meetings.extend(meets)
+
+
+def _is_among(seen: list[tuple[str, ndarray]], kind: str, X: ndarray) -> bool:
+    """Whether a point lies on a curve of its kind that was followed."""
+    return any(kind == other and same(X, Y, SAME_POINT) for other, Y in seen)
+
+
+def _placed(equations: Equations, window: _Window, X: ndarray) -> tuple[Any, ...]:
+    """Columns from `slope` to `error_bound` of a point of a curve."""
+    return (*_place(equations, X, window), _error(equations, X, window))
+
+
+def _meeting_rows(
+    others: Mapping[str, Condition],
+    number: int,
+    kind: str,
+    equations: Equations,
+    points: ndarray,
+    tangents: ndarray,
+    window: _Window,
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of the points at which a curve meets other conditions."""
+    units = np.hstack([1.0, window.keys.scale])
+    for each in meetings(equations, points, tangents, others):
+        place = _place(equations, each.X, window)
+        head = number, kind, each.name, each.meets
+        yield (*head, *place, *(each.error * units).tolist())
 
 
 def _turning_rows(

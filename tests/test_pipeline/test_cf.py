@@ -257,7 +257,7 @@ def test_values_of_a_curves_key_have_its_unit(walker, key, unit):
             "options": options,
         }
     )
-    for group in ("curves", "turnings"):
+    for group in ("curves", "turnings", "meetings"):
         assert (
             result_tables._attributes(
                 types.SimpleNamespace(study=study), group, "value"

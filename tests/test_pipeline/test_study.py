@@ -116,7 +116,11 @@ WRONG = {
 
 #: Options of a study of another kind, and what is said about them.
 WRONG_OPTIONS = [
-    ("branch", "n = 3", "Unknown key `n`, known: steps, sensitivities, tuned (s.toml, options)."),
+    (
+        "branch",
+        "n = 3",
+        "Unknown key `n`, known: steps, sensitivities, tuned (s.toml, options).",
+    ),
     (
         "orbit",
         "stebs = 3",

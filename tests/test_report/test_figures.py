@@ -393,6 +393,35 @@ def test_branches_touch_where_a_curve_of_folds_turns_back_and_not_one_of_flips(
     assert "re-pair at detuning 0.5 and slope 0.011 rad." in sketch.words[3]
 
 
+def test_a_codimension_two_point_of_two_curves_is_named_once(tmp_path):
+    kinds = ["fold", "flip"]
+    curve = {
+        "curve": [0, 0, 1, 1],
+        "kind": np.repeat(kinds, 2),
+        "key": ["detuning"] * 4,
+        "slope": [0.01, 0.02] * 2,
+        "value": [0.1, 0.2] * 2,
+    }
+    met = {
+        "kind": kinds,
+        "point": ["fold-flip"] * 2,
+        "slope": [0.015, 0.015 + 1e-13],
+        "value": [0.15, 0.15],
+    }
+    text = (
+        'name = "curves"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
+    )
+    tables = {"curves": curve, "meetings": met}
+    sketch = FIGURES["curves"](
+        read(write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables))
+    )
+    where = "fold-flip at detuning 0.15, slope 0.015 rad"
+    assert any(f"at once: {where}." in words for words in sketch.words)
+    assert [words.get_text() for words in sketch.panels[0].texts] == ["fold-flip"]
+    (marks,) = [each for each in sketch.marks if each.label == "fold-flip"]
+    assert marks.rows["command"].str.contains("--set detuning=0.15").all()
+
+
 def test_a_curve_names_the_unit_of_its_key(tmp_path):
     curve = {
         "curve": [0, 0, 1, 1],

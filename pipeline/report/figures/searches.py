@@ -175,6 +175,7 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
     key = str(table["key"].iloc[0])
     unit = print_units(table.attrs.get("units", {}).get("value", ""))
     touches = _mark_touches(source, axes, key)
+    meetings = _mark_meetings(sketch, source, key)
     several = {kind: _several(kind) for kind in kinds}
     for kind, ink in kinds.items():
         sketch.key(several[kind], ink, lw=1.5)
@@ -182,6 +183,7 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
         table,
         count=len(touches),
         touches="; ".join(touches),
+        meetings="; ".join(meetings),
         Kinds=" and ".join(several.values()).capitalize(),
         kinds=", ".join(kinds),
         key=key,
@@ -268,3 +270,29 @@ def _mark_touches(source: Source, axes: Axes, key: str) -> list[str]:
             f"{key} {plain(row.value, 9)} and slope {plain(row.slope, 9)} rad"
         )
     return touches
+
+
+def _mark_meetings(sketch: Sketch, source: Source, key: str) -> list[str]:
+    """Mark codimension-two points with their names; these in words. Where both curves
+    were followed, either has the point, which is named once.
+    """
+    (axes,) = sketch.panels
+    table = source.table("meetings", "slope", "value", "point")
+    if table is None:
+        return []
+    named: list[str] = []
+    tips = {"slope": "γ (rad)", "value": key}
+    for line in source.lines_of(table):
+        others = {name: value for name, value in line.at.items() if name != key}
+        commands = _commands(source.command(others), line.rows, {key: "value"})
+        for name, rows in line.rows.assign(command=commands).groupby("point"):
+            axes.plot(rows["slope"], rows["value"], "D", color=INK, ms=5, zorder=6)
+            label = ", ".join(filter(None, (line.label, spaced(str(name)))))
+            sketch.mark(axes, rows, label, tips=tips, x="slope", y="value")
+            for row in rows.itertuples():
+                where = f"{key} {plain(row.value, 6)}, slope {plain(row.slope, 6)} rad"
+                words = f"{label} at {where}"
+                if words not in named:
+                    write_at(axes, spaced(str(name)), (row.slope, row.value), (6, 6))
+                    named.append(words)
+    return named

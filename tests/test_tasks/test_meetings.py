@@ -1,0 +1,142 @@
+"""Codimension-two points: from either of the curves that meet there, by multipliers, and
+a cusp in closed form.
+"""
+
+import types
+
+import numpy as np
+import pytest
+
+from gaitsweep.tasks.branches.equations import System
+from gaitsweep.tasks.branches.meetings import _cusps
+from gaitsweep.tasks.studies.follow_curves import curve
+from gaitsweep.tasks.studies.solve_at_slope import solve_one
+from lines import _atlas
+
+
+def curves_of(walker, ends, kinds, slopes, **keys):
+    asked = {
+        "line": {"walker": walker, "set": keys},
+        "slope": np.array(slopes),
+        "key": "detuning",
+        "from": ends[0],
+        "to": ends[1],
+        "kinds": kinds,
+    }
+    return curve(asked, [_atlas(walker, tuple(keys.items()))])
+
+
+def meeting(found, kind, point):
+    """Slope, key and the bounds of both, of the one meeting of curves of a kind."""
+    of_kind = found["meetings/kind"] == kind
+    (k,) = np.flatnonzero(of_kind & (found["meetings/point"] == point))
+    columns = ("slope", "value", "error_bound", "value_error")
+    return [float(found[f"meetings/{column}"][k]) for column in columns]
+
+
+def agree(one, other):
+    """Whether two roads led to the same point within the sum of their bounds."""
+    slope, value, slope_error, value_error = one
+    assert abs(other[0] / slope - 1) < slope_error + other[2] < 1e-9
+    assert abs(other[1] - value) < value_error + other[3] < 1e-9
+
+
+@pytest.fixture(scope="module")
+def near_a():
+    kinds = ["fold", "flip"]
+    return curves_of("A", (0.41, 0.43), kinds, (4e-3, 8e-3), detuning=0.42)
+
+
+def test_both_curves_have_the_fold_flip(near_a):
+    """Folds that turn out to flip, and flips that turn out to fold."""
+    fold, flip = (meeting(near_a, kind, "fold-flip") for kind in ("fold", "flip"))
+    assert fold[:2] == pytest.approx((0.005670151823, 0.42045967028), rel=1e-10)
+    agree(fold, flip)
+
+
+def test_beside_a_fold_flip_multipliers_are_nearly_1_and_minus_1(near_a):
+    """Gaits solved alone, a little above and below."""
+    slope, value, *_ = meeting(near_a, "flip", "fold-flip")
+    asked = {"walker": "A", "set": {"detuning": value}}
+    off = []
+    for aside in (1 - 1e-9, 1 + 1e-9):
+        solved = solve_one({**asked, "slope": slope * aside})
+        for gait in solved["gaits"]:
+            real = np.array(gait["multipliers"])[:, 0]
+            off.append([np.abs(real - at).min() for at in (1, -1)])
+    assert (np.array(off) < 1e-2).all(axis=1).any()
+
+
+@pytest.mark.thorough
+def test_two_ends_of_walking_meet():
+    """Where kneestrike meets heelstrike, heelstrike turns tangential too: of gaits solved
+    alone one begins there, whose strikes coincide and whose multiplier grows as the
+    inverse of the distance.
+    """
+    ends = "end_kneestrike_at_heelstrike", "end_tangential_heelstrike"
+    found = curves_of("C", (0.12, 0.2), [ends[0]], (1e-3, 0.02), detuning=0.2)
+    slope, value, *bounds = meeting(found, ends[0], " and ".join(ends))
+    assert max(bounds) < 1e-9
+
+    asked = {"walker": "C", "set": {"detuning": value}}
+    (below,) = solve_one({**asked, "slope": slope * (1 - 1e-6)})["gaits"]
+    assert below["kneestrike_time"] < 0.7 * below["period"]
+    largest = []
+    for distance in (1e-6, 1e-4):
+        _, gait = solve_one({**asked, "slope": slope * (1 + distance)})["gaits"]
+        late = gait["period"] - gait["kneestrike_time"]
+        assert 0 < late < distance * gait["period"]
+        largest.append(gait["multipliers"][0][0])
+    assert largest[0] / largest[1] == pytest.approx(100, rel=0.01)
+
+
+@pytest.mark.thorough
+def test_curves_of_folds_and_of_complex_pairs_have_the_resonance():
+    kinds = ["fold", "neimark_sacker"]
+    keys = {"m_h": 0.0, "detuning": 1.21}
+    found = curves_of("C", (1.1, 1.25), kinds, (0.1, 0.3), **keys)
+    fold, pair = (meeting(found, kind, "resonance 1:1") for kind in kinds)
+    assert fold[:2] == pytest.approx((0.172984691440933, 1.19212658779289), rel=1e-11)
+    agree(fold, pair)
+
+
+#: Slope of the cusp below, and how it moves with the key.
+SLOPE, TILT = -3.0, 0.5
+
+
+class Cubic:
+    """Folds of x^3 + key x = ln slope - SLOPE - TILT key, in X = (x, ln slope, key)."""
+
+    conditions = (types.SimpleNamespace(name="fold"),)
+    problem = types.SimpleNamespace(m=1, phases=0)
+    size = 3
+
+    def some(self, lanes):
+        return self
+
+    def at(self, X, difference=None, samples=0):
+        x, q, key = X
+        one = np.ones_like(x)
+        by_x = 3 * x**2 + key
+        off = x**3 + key * x - (q - SLOPE - TILT * key)
+        of_gait = [by_x, -one, x + TILT]
+        of_fold = [6 * x, 0 * one, one]
+        by_X = np.array([of_gait, of_fold])
+        return System(X, np.array([off, by_x]), by_X, None)
+
+
+def test_a_cusp_is_where_a_curve_of_folds_turns_in_slope_and_key():
+    x = np.linspace(-0.3, 0.24, 8)
+    key = -3 * x**2
+    slope = SLOPE + x**3 + key * x + TILT * key
+    slope_by_x = -6 * x**2 - 6 * x * TILT
+    points = np.array([x, slope, key]).T
+    tangents = np.array([0 * x + 1, slope_by_x, -6 * x]).T
+    tangents /= np.linalg.norm(tangents, axis=1)[:, None]
+
+    (cusp,) = _cusps(Cubic(), points, tangents)
+
+    assert cusp.name == "cusp"
+    off = np.abs(cusp.X - [0.0, SLOPE, 0.0])
+    assert off[0] < 1e-9
+    assert (off[1:] <= cusp.error).all() and (cusp.error < 1e-9).all()
