@@ -71,8 +71,14 @@ def with_unit(words: str, unit: str) -> str:
     return f"{words} ({unit})" if unit else words
 
 
+#: Names of keys that are symbols, as `m_h`.
+_SYMBOL = re.compile(r"[a-z]_[a-zA-Z]")
+
+
 def spaced(name: Any) -> str:
-    """A name in words."""
+    """A name in words; a symbol as it is."""
+    if _SYMBOL.fullmatch(str(name)):
+        return str(name)
     return str(WORDS["names"].get(name) or str(name).replace("_", " "))
 
 

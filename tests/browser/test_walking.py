@@ -852,9 +852,8 @@ def test_slices_lead_through_the_axes_that_maps_leave_out(walk, walking, gait):
     told = _numbers(_cell(browser, (9, 2)))
 
     at = sweep.sel(R=0.2, foot_mass_ratio=0.11, slope=0.044, gait=gait)
-    assert told == pytest.approx(
-        {"foot mass ratio ρ": 0.11, "R": 0.2, "period T": float(at.period)}, rel=1e-3
-    )
+    places = {"slope γ (rad)": 0.044, "foot mass ratio ρ": 0.11, "R": 0.2}
+    assert told == pytest.approx({**places, "period T": float(at.period)}, rel=1e-3)
     given = dict(
         pair.split("=") for pair in ask(browser, "location.hash")[1:].split("&")
     )

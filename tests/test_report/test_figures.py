@@ -39,7 +39,7 @@ from gaitsweep.pipeline.report.figures.style import (
 )
 from gaitsweep.pipeline.report.figures.svg import TARGETS
 from gaitsweep.pipeline.report.source import read
-from gaitsweep.pipeline.report.words import WORDS, plain, sentences
+from gaitsweep.pipeline.report.words import WORDS, plain, sentences, spaced
 from lines import some
 from test_report import synthetic
 from test_report.shape import GAITS, KNEED, POINT, write
@@ -359,12 +359,23 @@ def test_a_heatmap_on_a_logarithmic_axis_has_every_cell_around_its_value(tmp_pat
         {"R": radius, "slope": slope, "gait": GAITS},
         {"B": POINT},
     )
-    axes = FIGURES["heatmap"](read(archive)).figure.axes[0]
+    sketch = FIGURES["heatmap"](read(archive))
+    axes = sketch.figure.axes[0]
     borders = axes.collections[0].get_coordinates()[0, :, 0]
     np.testing.assert_allclose(
         borders, np.geomspace(1e-4, 0.1, 4)[0] * 10 ** (np.arange(5) - 0.5)
     )
     assert axes.get_xlim() == pytest.approx((borders[0], borders[-1]))
+    assert "Hatched" not in sketch.words[1]
+
+
+def test_a_heatmap_without_a_gait_in_some_cells_says_how_these_are_drawn(sources):
+    assert "Hatched: no such gait." in FIGURES["heatmap"](sources["design"]).words[1]
+
+
+@pytest.mark.parametrize("key", ["m_h", "w_t", "c_s"])
+def test_keys_that_are_symbols_are_titles_as_they_are(key):
+    assert spaced(key) == key and spaced("push_off") == "push off"
 
 
 def test_branches_touch_where_a_curve_of_folds_turns_back_and_not_one_of_flips(

@@ -99,7 +99,7 @@ def design(source: Source, table: pd.DataFrame) -> Sketch | None:
         down=down,
         along=along,
         circles=_named(source, down, along) if any(marked) else "",
-        blank=True,
+        blank=bool(table[[*MAPPED]].isna().any(axis=None)),
         more=data.more,
         ranges=_ranges(table),
         best=_best(source, table, (down, along)),

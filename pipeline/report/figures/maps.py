@@ -119,7 +119,9 @@ def heatmap(source: Source) -> Sketch | None:
     for axes in sketch.grid:
         axes[0].set_ylabel(titles[2] if rows == 1 else symbol(maps.down))
     add_bar(picture, sketch.panels).set_label(titles[0])
-    return sketch.finish(**_words_of_maps(source, maps, titles, shown))
+    has_blanks = any(panel.values.isna().any(axis=None) for panel in sketch.maps)
+    words = _words_of_maps(source, maps, titles, shown)
+    return sketch.finish(blank=has_blanks, **words)
 
 
 def _maps(source: Source) -> _Maps | None:

@@ -42,8 +42,8 @@ for (const box of nodesOf(".slices")) {
     at = cell;
     cells[at].setAttribute("stroke", "var(--bad)");
     svg.append(cells[at]);
-    const value = values[indexOf(cell)];
-    const pairs = chosen().map((axis, k) => [axis.title, axis.values[cell[k]]]);
+    const value = values[indexOf(cell)], places = placesOf(cell);
+    const pairs = axes.map((axis, k) => [axis.title, axis.values[places[k]]]);
     if (value === value) pairs.push([quantities[what.value][1], value]);
     find("output").textContent = pairs.map(([title, x]) => title + " = " + brief(x)).join(", ") + (value === value ? "" : ": no gait");
   }
