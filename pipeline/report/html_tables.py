@@ -40,7 +40,7 @@ _MAX_REASONS = 200
 _OPEN_ROWS, _EXCERPT, MAX_COLUMNS = 20, 12, 6
 
 #: Columns that stand last.
-_LAST = WORDS["kinds"]["last"]
+_LAST, _KEPT = WORDS["kinds"]["last"], WORDS["kinds"]["kept"]
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,8 @@ def _excerpt(
 
     def rank(column: Any) -> tuple[bool, bool]:
         is_constant = whole.get(column, frame[column]).nunique() == 1
-        return column in _LAST, len(shown) > 1 and is_constant
+        tells_little = len(shown) > 1 and is_constant and column not in _KEPT
+        return column in _LAST, tells_little
 
     return shown[sorted(frame.columns, key=rank)]
 

@@ -1245,3 +1245,9 @@ def test_slices_of_a_large_grid_say_of_how_many_points_they_are(tmp_path, sizes)
 
 def test_a_grid_of_two_axes_has_no_slices(tmp_path):
     assert slices.volume(_volume(tmp_path, (5, 4))) == {}
+
+
+def test_what_meets_on_a_curve_is_named_in_its_table_though_all_points_have_one_name():
+    columns = {"kind": ["flip", "fold"], "point": ["fold-flip"] * 2, "slope": [0.1] * 2}
+    heads = html_tables.named("meetings", pd.DataFrame(columns)).heads
+    assert heads == ["kind", "point", "γ"]
