@@ -86,14 +86,7 @@ def design(source: Source, table: pd.DataFrame) -> Sketch | None:
     shape = (count, len(MAPPED))
     sketch = Sketch("design", 100 + 150 * count, *shape, sharex=True, sharey=True)
     marked = [_draw_row(sketch, source, data, k) for k in range(count)]
-    for axes, mapped in zip(sketch.grid[0], MAPPED.values(), strict=True):
-        axes.set_title(mapped.title, pad=5)
-    for axes, column in zip(sketch.grid[-1], sketch.grid.T, strict=True):
-        axes.set_xlabel(_symbol(source, along))
-        axes.xaxis.set_major_locator(MaxNLocator(5))
-        bar = add_bar(axes.collections[0], list(column), location="bottom")
-        bar.ax.xaxis.set_major_locator(MaxNLocator(4))
-
+    _add_titles(sketch, _symbol(source, along))
     return sketch.finish(
         table[[*columns, *(c for c in _DATA if c in table)]],
         down=down,
@@ -104,6 +97,17 @@ def design(source: Source, table: pd.DataFrame) -> Sketch | None:
         ranges=_ranges(table),
         best=_best(source, table, (down, along)),
     )
+
+
+def _add_titles(sketch: Sketch, along: str) -> None:
+    """Add titles of the columns of maps, of their axes, and their scales of colours."""
+    for axes, mapped in zip(sketch.grid[0], MAPPED.values(), strict=True):
+        axes.set_title(mapped.title, pad=5)
+    for axes, column in zip(sketch.grid[-1], sketch.grid.T, strict=True):
+        axes.set_xlabel(along)
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        bar = add_bar(axes.collections[0], list(column), location="bottom")
+        bar.ax.xaxis.set_major_locator(MaxNLocator(4))
 
 
 def _draw_row(sketch: Sketch, source: Source, data: _Maps, k: int) -> bool:
