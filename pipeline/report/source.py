@@ -365,16 +365,14 @@ class Source:
 
     def units(self, variable: str) -> str:
         """Units to print after a quantity; empty if it is dimensionless."""
-        units = (
-            str(self.grid[variable].attrs.get("units", ""))
-            if variable in self.grid.variables
-            else self._units_of_tables.get(variable, "")
-            if variable == self.along
-            else ""
-        )
-        return print_units(
-            units or ("rad" if variable in ("slope", "stance_angle") else "")
-        )
+        units = ""
+        if variable in self.grid.variables:
+            units = str(self.grid[variable].attrs.get("units", ""))
+        elif variable == self.along:
+            units = self._units_of_tables.get(variable, "")
+        if not units and variable in ("slope", "stance_angle"):
+            units = "rad"
+        return print_units(units)
 
     @cached_property
     def _units_of_tables(self) -> dict[str, str]:

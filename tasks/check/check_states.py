@@ -1,11 +1,11 @@
 """Whether states are gaits of a walker, and if not, why.
 
-All states are lanes of one batch. The rules are tried in the order of
-contract/verdicts.toml, and the first that applies is the verdict: a state is the gait
-that it is closest to at its slope if every coordinate is nearer than a tolerance, which
-adds to a relative one the last digit of what was given. A state is a gait with a fault if
-what the fault makes of the gait is as near. What is left may be a gait of another slope, or
-of another walker of the catalogue.
+All states are lanes of one batch. The rules are tried in the order of `_RULES`, and the
+first that applies is the verdict, whose sentence contract/verdicts.toml has: a state is
+the gait that it is closest to at its slope if every coordinate is nearer than a tolerance,
+which adds to a relative one the last digit of what was given. A state is a gait with a
+fault if what the fault makes of the gait is as near. What is left may be a gait of another
+slope, or of another walker of the catalogue.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from gaitsweep.tasks.gaits.newton import newton
 from gaitsweep.tasks.mechanics.arrays import LogSlopes, Marks, Numbers, Unknowns
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import joined
-from gaitsweep.tasks.step.simulate import BACKWARD, STRUCK, stride
+from gaitsweep.tasks.step.simulate import STRUCK, stride
 
 #: Most steps after which a state is looked for again.
 MOST_STEPS = 8
@@ -23,7 +23,6 @@ _RETURNS = 0.05
 def take_steps(case: Case) -> None:
     """Take the steps after which the states are held to repeat."""
     lanes = case.steppable
-    case.outcome[lanes] = BACKWARD
     if not len(lanes):
         return
     slope, problem = case.slopes(lanes), case.general.some(lanes)

@@ -1,4 +1,4 @@
-"""What may be said of a state, in the order of the rules: contract/verdicts.toml."""
+"""What may be said of a state: contract/verdicts.toml."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 @cache
 def sentences() -> dict[str, str]:
-    """Return what is said of each verdict, in the order of the rules."""
+    """Return what is said of each verdict."""
     path = Path(__file__).parents[1] / "contract" / "verdicts.toml"
     return tomllib.loads(path.read_text(encoding="utf-8"))
 

@@ -34,8 +34,8 @@ from gaitsweep.tasks.studies.interpolate import fit_panels, on_sheets
 from gaitsweep.tasks.studies.solve_guesses import Differentiate
 from gaitsweep.tasks.walkers.walker import DIFFERENTIATED
 
-#: Bound of the errors of derivatives over the larger of themselves and the measure, over
-#: the size of the key; it is eight times the largest error found.
+#: Largest bound of the errors of derivatives that polynomials give, over the larger of
+#: the derivative and the measure over the size of the key.
 _GOOD = 1e-8
 #: Nodes of a panel, and its narrowest part: what is not smooth there is differentiated
 #: gait by gait.
@@ -69,7 +69,8 @@ class ChartedDerivatives:
         self.problem = problem
         self.rows = Rows(measures_among(want, problem.walker))
         self.pieces = pieces_of(branches)
-        #: Which keys there are derivatives by.
+        #: Which keys there are derivatives by, anywhere among the first samples: they
+        #: are of all pieces.
         self.has = np.zeros(len(DIFFERENTIATED), bool)
         # Walkers may have none of the measures.
         q = np.log(slope) if self.rows.names else np.empty(0)
@@ -101,7 +102,8 @@ class ChartedDerivatives:
         """
         keys = sizes_of_keys(self.problem.walker, np.exp(Z[-1]))
         values = by_all_keys(self.problem, Z, self.rows) * keys
-        self.has = ~np.isnan(values).all(axis=(0, 2))
+        if not self.has.any():
+            self.has = ~np.isnan(values).all(axis=(0, 2))
         values = values[:, self.has]
 
         of_gaits = np.abs(self.rows.at(Equations(self.problem).evaluate(Z)))

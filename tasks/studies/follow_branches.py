@@ -29,7 +29,7 @@ from gaitsweep.tasks.mechanics.arrays import Coordinates, Numbers, PerLane
 from gaitsweep.tasks.step.drive import HIP_TORQUE
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
-from gaitsweep.tasks.studies.followed import followed_over
+from gaitsweep.tasks.studies.followed import columns_along, followed_over
 from gaitsweep.tasks.walkers.walker import Walker
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
@@ -65,8 +65,8 @@ def branch(
         that does; `slope_from`, `slope_to`, the window of slopes [rad] or of that key
         [the walker's units]; `n`, the least number of points of a branch in it, or
         `adaptive`, the tolerance of linear interpolation between them; `steps` after
-        which the gaits repeat; `sensitivities`, whether the
-        slopes of special points are differentiated.
+        which the gaits repeat; `sensitivities`, whether the slopes of special points are
+        differentiated.
     inputs : list
         The line's atlas, of the same `steps`.
 
@@ -97,7 +97,7 @@ def branch(
             for point in _special_within(problem, curve, low, high):
                 special.append((number, point))
 
-    tables = stacked("branches", parts, _over(problem, COLUMNS))
+    tables = stacked("branches", parts, columns_along(problem, COLUMNS))
     tables |= _special_table(problem, special, unit)
     if params.get("sensitivities"):
         rows = [*_derivatives(problem, special)]
@@ -109,12 +109,6 @@ def _none(problem: Problem, window: PerLane) -> Arrays:
     """That there is no gait in a window."""
     gait = "gait" if problem.steps == 1 else f"gait of {problem.steps} steps"
     return nothing(over(gait, window, problem.drive.key))
-
-
-def _over(problem: Problem, columns: Sequence[str]) -> tuple[str, ...]:
-    """Columns with what gaits are followed along in the place of the slope."""
-    along = problem.drive.key
-    return tuple(along if column == "slope" else column for column in columns)
 
 
 def _columns(problem: Problem, Z: Coordinates, unit: float) -> tuple[Any, ...]:
@@ -181,7 +175,7 @@ def _special_table(
     points = [
         (number, *_special_row(problem, point, unit)) for number, point in special
     ]
-    return table("special_points", points, _over(problem, SPECIAL))
+    return table("special_points", points, columns_along(problem, SPECIAL))
 
 
 def _derivatives(

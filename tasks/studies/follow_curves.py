@@ -195,26 +195,12 @@ def _follow_all(
         # points.
         returns = at_value(equations, points, first.Z[-1, 0])
         seen += [(kind, X) for X in (first.Z[:, 0], *returns)]
-        head = len({row[0] for row in tables.curves}), kind
-        placed = partial(_placed, equations, window)
-        tables.curves.extend(rows(head, equations, points, stopped, placed))
-        _write_points(tables, head, (equations, points, tangents), others, window)
+        number = len({row[0] for row in tables.curves})
+        curve = _Curve(number, kind, equations, points, tangents)
+        tables.curves.extend(_curve_rows(curve, window, stopped))
+        tables.turnings.extend(_turning_rows(curve, window))
+        tables.meetings.extend(_meeting_rows(curve, window, others))
     return bool(seen)
-
-
-def _write_points(
-    tables: _Tables,
-    head: tuple[int, str],
-    curve: tuple[Equations, ndarray, ndarray],
-    others: Mapping[str, Condition],
-    window: _Window,
-) -> None:
-    """Add rows of the turning points of a curve, and of where it meets others."""
-    equations, points, tangents = curve
-    turns = _turning_rows(*head, equations, points, tangents, window)
-    meets = _meeting_rows(others, *head, equations, points, tangents, window)
-    tables.turnings.extend(turns)
-    tables.meetings.extend(meets)
 
 
 def _is_among(seen: list[tuple[str, ndarray]], kind: str, X: ndarray) -> bool:
@@ -227,39 +213,48 @@ def _placed(equations: Equations, window: _Window, X: ndarray) -> tuple[Any, ...
     return (*_place(equations, X, window), _error(equations, X, window))
 
 
+class _Curve(NamedTuple):
+    """A curve that was followed: its number and kind, the equations that hold on it, and
+    its points and tangents, shape (p, u).
+    """
+
+    number: int
+    kind: str
+    equations: Equations
+    points: ndarray
+    tangents: ndarray
+
+
+def _curve_rows(
+    curve: _Curve, window: _Window, stopped: tuple[str, str]
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of the points of a curve, which `stopped` at its ends."""
+    placed = partial(_placed, curve.equations, window)
+    head = curve.number, curve.kind
+    return rows(head, curve.equations, curve.points, stopped, placed)
+
+
+def _turning_rows(curve: _Curve, window: _Window) -> Iterator[tuple[Any, ...]]:
+    """Rows of the turning points of a curve, of its key first."""
+    along = list(zip(curve.points, curve.tangents, strict=True))
+    for component, turn in ((-1, "key"), (-2, "slope")):
+        for a, b in itertools.pairwise(along):
+            found = turning(curve.equations, a, b, component)
+            if found is not None:
+                X, error = found
+                place = _place(curve.equations, X, window)
+                yield (curve.number, curve.kind, turn, *place, error)
+
+
 def _meeting_rows(
-    others: Mapping[str, Condition],
-    number: int,
-    kind: str,
-    equations: Equations,
-    points: ndarray,
-    tangents: ndarray,
-    window: _Window,
+    curve: _Curve, window: _Window, others: Mapping[str, Condition]
 ) -> Iterator[tuple[Any, ...]]:
     """Rows of the points at which a curve meets other conditions."""
     units = np.hstack([1.0, window.keys.scale])
-    for each in meetings(equations, points, tangents, others):
-        place = _place(equations, each.X, window)
-        head = number, kind, each.name, each.meets
+    for each in meetings(curve.equations, curve.points, curve.tangents, others):
+        place = _place(curve.equations, each.X, window)
+        head = curve.number, curve.kind, each.name, each.meets
         yield (*head, *place, *(each.error * units).tolist())
-
-
-def _turning_rows(
-    number: int,
-    kind: str,
-    equations: Equations,
-    points: ndarray,
-    tangents: ndarray,
-    window: _Window,
-) -> Iterator[tuple[Any, ...]]:
-    """Rows of the turning points of a curve, of its key first."""
-    along = list(zip(points, tangents, strict=True))
-    for component, turn in ((-1, "key"), (-2, "slope")):
-        for a, b in itertools.pairwise(along):
-            found = turning(equations, a, b, component)
-            if found is not None:
-                X, error = found
-                yield (number, kind, turn, *_place(equations, X, window), error)
 
 
 def _beginnings(value: float, keys: Keys) -> Iterator[float]:

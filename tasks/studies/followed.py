@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gaitsweep.tasks.step.drive import SLOPE, Drive
@@ -34,3 +34,11 @@ def followed_over(params: Mapping[str, Any], steps: int = 1) -> tuple[Problem, f
 
     drive = Drive(key, float(params["line"]["slope"]))
     return Problem(walker.having(key, 0.0), steps, drive), drive.unit(walker)
+
+
+def columns_along(problem: Problem, columns: Sequence[str]) -> tuple[str, ...]:
+    """Return names of columns with what gaits are followed along in the place of the
+    slope.
+    """
+    along = problem.drive.key
+    return tuple(along if column == "slope" else column for column in columns)

@@ -41,7 +41,7 @@ from gaitsweep.tasks.step.several_steps import (
     sections,
 )
 from gaitsweep.tasks.step.simulate import STRUCK, stride
-from gaitsweep.tasks.studies.followed import followed_over
+from gaitsweep.tasks.studies.followed import columns_along, followed_over
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Orbits that locate the loss of walking, their relative distance from the last gait
@@ -167,7 +167,9 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             accumulations.append((f"{period}", 0, *_UNKNOWN, why))
 
     tables = _event_table(families, problem)
-    tables |= table("accumulation", accumulations, _over(problem, _ACCUMULATION))
+    tables |= table(
+        "accumulation", accumulations, columns_along(problem, _ACCUMULATION)
+    )
     tables |= _lost_table(problem, families, slope, int(options["steps"]))
     if not families:
         tables |= nothing(" ".join(missing))
@@ -177,12 +179,6 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 def _near(problem: Problem, params: Mapping[str, Any]) -> Problem:
     """The problem of the walker from whose gaits the first are sought."""
     return Problem(walker_of_line(params["near"])) if "near" in params else problem
-
-
-def _over(problem: Problem, columns: Sequence[str]) -> list[str]:
-    """Columns with what gaits are followed along in the place of the slope."""
-    along = problem.drive.key
-    return [along if column == "slope" else column for column in columns]
 
 
 def _no_family(period: int, values: ndarray, problem: Problem) -> str:
@@ -214,7 +210,7 @@ def _event_table(families: dict[str, _Family], problem: Problem) -> Arrays:
     rows: list[tuple[Any, ...]] = []
     for name, family in families.items():
         rows += _event_rows(name, family)
-    return table("cascade", rows, _over(problem, _CASCADE))
+    return table("cascade", rows, columns_along(problem, _CASCADE))
 
 
 def _event_rows(name: str, family: _Family) -> Iterator[tuple[Any, ...]]:

@@ -36,6 +36,8 @@ from gaitsweep.pipeline.report.words import (
     yes_or_no,
 )
 
+#: Title of the vertical axis.
+_ANGLE = "stance angle θ* (rad)"
 #: Spectral radius above which it is rounding of one without bound.
 _UNBOUNDED = 1e12
 
@@ -94,14 +96,9 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
     sketch.figure.supxlabel(source.words_along["x"], fontsize=9.5)
     printed, numbered = "", pd.DataFrame()
     if shown.count > 1:
-        sketch.figure.supylabel("stance angle θ* (rad)", fontsize=9.5)
+        sketch.figure.supylabel(_ANGLE, fontsize=9.5)
     else:
-        set_heading(sketch.panels[0], "stance angle θ* (rad)")
-        numbered = landmarks.point_numbers(source)
-        _draw_points(sketch.panels[0], enlarged[0], numbered)
-        printed = landmarks.sentence(
-            landmarks.draw_at_angles(sketch, sketch.panels[0], source)
-        )
+        numbered, printed = _draw_landmarks(sketch, source, enlarged[0])
 
     return sketch.finish(
         _bounded(sketch.data),
@@ -116,6 +113,20 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
         abscissa=source.along,
         **source.words_along,
     )
+
+
+def _draw_landmarks(
+    sketch: Sketch, source: Source, inset: Axes | None
+) -> tuple[pd.DataFrame, str]:
+    """Draw the paper's points on the only panel: those that it numbers, and a sentence
+    on those that it prints.
+    """
+    (panel,) = sketch.panels
+    set_heading(panel, _ANGLE)
+    numbered = landmarks.point_numbers(source)
+    _draw_points(panel, inset, numbered)
+    drawn = landmarks.draw_at_angles(sketch, panel, source)
+    return numbered, landmarks.sentence(drawn)
 
 
 def _bounded(data: pd.DataFrame) -> pd.DataFrame:

@@ -78,10 +78,7 @@ def design(source: Source, table: pd.DataFrame) -> Sketch | None:
     if len(varied) < 2:
         return None
     down, along = varied[:2]
-    others = [c for c in columns if c not in (down, along)]
-    every = table[others].drop_duplicates().to_dict("records") if others else [{}]
-    data = _Maps(table, down, along, *choose_rows(every))
-
+    data = _maps(table, columns, down, along)
     count = len(data.rows)
     shape = (count, len(MAPPED))
     sketch = Sketch("design", 100 + 150 * count, *shape, sharex=True, sharey=True)
@@ -97,6 +94,15 @@ def design(source: Source, table: pd.DataFrame) -> Sketch | None:
         ranges=_ranges(table),
         best=_best(source, table, (down, along)),
     )
+
+
+def _maps(table: pd.DataFrame, columns: list[str], down: str, along: str) -> _Maps:
+    """The maps over two of the columns of lines, a row for each place on the others."""
+    others = [column for column in columns if column not in (down, along)]
+    places: list[Any] = [{}]
+    if others:
+        places = table[others].drop_duplicates().to_dict("records")
+    return _Maps(table, down, along, *choose_rows(places))
 
 
 def _add_titles(sketch: Sketch, along: str) -> None:
