@@ -390,4 +390,4 @@ def _keys_of_values(study: Study) -> dict[str, str]:
     options = registry.options("curve", study.options)
     keys = [*(options["plane"] or [options["key"]])]
     held = dict(zip(("value", "other_value"), keys, strict=False))
-    return {**held, "value_error": keys[0]}
+    return held | {f"{name}_error": key for name, key in held.items()}

@@ -1,9 +1,9 @@
 """Codimension-two points: where a curve of one condition, in two of slope and keys,
-fulfils another one too.
+fulfils another one too, or where two keys at a fixed slope do.
 
 Along the curve the other condition's scalar changes sign; Newton's method on both
-conditions leads to the point. A cusp, which has no scalar of its own, is where slope and
-key of a curve of folds turn at once. Names and conditions are those of Y. A. Kuznetsov,
+conditions leads to the point. A cusp, which has no scalar of its own, is where both of a
+curve of folds turn at once. Names and conditions are those of Y. A. Kuznetsov,
 Elements of Applied Bifurcation Theory, chapter 9. In shapes, u counts unknowns X, p the
 points of a curve.
 """
@@ -11,8 +11,9 @@ points of a curve.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -79,19 +80,85 @@ def met(conditions: Mapping[str, Condition], has_knees: bool) -> dict[str, Condi
     return {name: CONDITIONS[name] for name in names} | dict(conditions)
 
 
-def meetings(
-    equations: Equations,
-    points: ndarray,
-    tangents: ndarray,
-    others: Mapping[str, Condition],
-) -> Iterator[Meeting]:
-    """Yield the codimension-two points of a curve, in the order of the conditions.
+class Turning(NamedTuple):
+    """Where one of a curve's last two unknowns turns.
+
+    Attributes
+    ----------
+    segment : int
+        Number of the point before it.
+    component : int
+        -1 for the last unknown, -2 for the one before.
+    X : ndarray, shape (u,)
+    error : float
+        As `branches.curves.turning` has it.
+    """
+
+    segment: int
+    component: int
+    X: Gait
+    error: float
+
+
+def turnings(
+    equations: Equations, points: ndarray, tangents: ndarray
+) -> tuple[list[Turning], list[Meeting]]:
+    """Return where one of a curve's last two unknowns turns alone, the last one's first,
+    and its cusps, where both turn at once if it is a curve of folds.
 
     Parameters
     ----------
     equations : Equations
         Of the curve, with one condition.
     points, tangents : ndarray, shape (p, u)
+    """
+    turned = []
+    for component in (-1, -2):
+        along = itertools.pairwise(zip(points, tangents, strict=True))
+        for segment, (a, b) in enumerate(along):
+            found = turning(equations, a, b, component)
+            if found is not None:
+                turned.append(Turning(segment, component, *found))
+
+    (own,) = equations.conditions
+    if own.name != "fold":
+        return turned, []
+    at_once = [
+        (one, other)
+        for one, other in itertools.combinations(turned, 2)
+        if one.segment == other.segment
+        and np.linalg.norm(one.X - other.X) <= _SAME_TURNING
+    ]
+    both = {id(each) for pair in at_once for each in pair}
+    alone = [each for each in turned if id(each) not in both]
+    return alone, [_cusp(*pair) for pair in at_once]
+
+
+def _cusp(of_last: Turning, of_other: Turning) -> Meeting:
+    """The cusp at which both unknowns turn."""
+    X = of_other.X
+    apart = np.abs(X - of_last.X)[-2:]
+    error = max(of_last.error, of_other.error)
+    return Meeting(CUSP, "", X, apart + error + 8 * EPS)
+
+
+def meetings(
+    equations: Equations,
+    points: ndarray,
+    tangents: ndarray,
+    kind: str,
+    others: Mapping[str, Condition],
+) -> Iterator[Meeting]:
+    """Yield the points at which a curve fulfils another condition, in the order of the
+    conditions.
+
+    Parameters
+    ----------
+    equations : Equations
+        Of the curve, with one condition.
+    points, tangents : ndarray, shape (p, u)
+    kind : str
+        Its condition's name.
     others : mapping
         Conditions that it may meet, by their names; its own is passed over.
 
@@ -100,9 +167,6 @@ def meetings(
     Two roads: the other condition's curve has the same point.
     """
     (own,) = equations.conditions
-    if own.name == "fold":
-        yield from _cusps(equations, points, tangents)
-
     samples, lengths = _between(points, tangents)
     at = equations.evaluate(samples)
     for name, other in others.items():
@@ -115,7 +179,7 @@ def meetings(
             guess = samples[:, k] + share * (samples[:, k + 1] - samples[:, k])
             found = _solved(both, guess, lengths[k // _PARTS])
             if found is not None:
-                named = _name(both, found)
+                named = _name((kind, name), both, found)
                 if named:
                     yield Meeting(named, name, found, errors(both, found, 2))
 
@@ -147,11 +211,10 @@ def _solved(both: Equations, guess: Gait, length: float) -> Gait | None:
     return np.asarray(X)
 
 
-def _name(both: Equations, X: Gait) -> str:
-    """Name of the point at which two conditions are fulfilled; empty where a pair of
-    multipliers is real and no resonance, which is no bifurcation.
+def _name(names: Sequence[str], both: Equations, X: Gait) -> str:
+    """Name of the point at which two conditions of these names are fulfilled; empty where
+    a pair of multipliers is real and no resonance, which is no bifurcation.
     """
-    names = [each.name for each in both.conditions]
     if "neimark_sacker" in names:
         (other,) = set(names) - {"neimark_sacker"}
         multipliers = both.evaluate(X[:, None]).multipliers[0]
@@ -163,19 +226,3 @@ def _name(both: Equations, X: Gait) -> str:
             return ""
         return f"{other} and neimark_sacker"
     return _NAMES.get(frozenset(names), " and ".join(sorted(names)))
-
-
-def _cusps(
-    equations: Equations, points: ndarray, tangents: ndarray
-) -> Iterator[Meeting]:
-    """Where both last unknowns turn at once along a curve of folds."""
-    for a, b in itertools.pairwise(zip(points, tangents, strict=True)):
-        of_slope = turning(equations, a, b, -2)
-        of_key = turning(equations, a, b, -1)
-        if of_slope is None or of_key is None:
-            continue
-        (X, error), (other, other_error) = of_slope, of_key
-        if np.linalg.norm(X - other) > _SAME_TURNING:
-            continue
-        apart = np.abs(X - other)[-2:]
-        yield Meeting(CUSP, "", X, apart + max(error, other_error) + 8 * EPS)

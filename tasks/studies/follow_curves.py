@@ -4,8 +4,7 @@ a value, continued in slope and one key of the walker.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -20,7 +19,6 @@ from gaitsweep.tasks.branches.curves import (
     across_last,
     at_value,
     follow_both_directions,
-    turning,
 )
 from gaitsweep.tasks.branches.equations import (
     DIFFERENCE,
@@ -29,7 +27,7 @@ from gaitsweep.tasks.branches.equations import (
     correct_on_curve,
     slope_error,
 )
-from gaitsweep.tasks.branches.meetings import meetings, met
+from gaitsweep.tasks.branches.meetings import Meeting, Turning, meetings, met, turnings
 from gaitsweep.tasks.branches.special_points import RATES, passings, special_points
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
@@ -81,7 +79,8 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         along a curve: curve, kind, turn, and from slope to error_bound the same) and
         `meetings` (codimension-two points along a curve: curve, kind, point, its name,
         meets, the other condition, the same, and value_error, the bound on the key's
-        error), in the walker's units.
+        error; over a `plane` without error_bound, and with other_value_error too), in the
+        walker's units.
 
     Raises
     ------
@@ -198,9 +197,22 @@ def _follow_all(
         number = len({row[0] for row in tables.curves})
         curve = _Curve(number, kind, equations, points, tangents)
         tables.curves.extend(_curve_rows(curve, window, stopped))
-        tables.turnings.extend(_turning_rows(curve, window))
-        tables.meetings.extend(_meeting_rows(curve, window, others))
+        _add_points(curve, others, window, tables)
     return bool(seen)
+
+
+def _add_points(
+    curve: _Curve,
+    others: Mapping[str, Condition],
+    window: _Window,
+    tables: _Tables,
+) -> None:
+    """Add the turning points and the codimension-two points of a curve to the tables."""
+    along = curve.equations, curve.points, curve.tangents
+    turned, cusps = turnings(*along)
+    tables.turnings.extend(_turning_rows(curve, window, turned))
+    met_here = meetings(*along, curve.kind, others)
+    tables.meetings.extend(_meeting_rows(curve, window, [*cusps, *met_here]))
 
 
 def _is_among(seen: list[tuple[str, ndarray]], kind: str, X: ndarray) -> bool:
@@ -234,24 +246,22 @@ def _curve_rows(
     return rows(head, curve.equations, curve.points, stopped, placed)
 
 
-def _turning_rows(curve: _Curve, window: _Window) -> Iterator[tuple[Any, ...]]:
-    """Rows of the turning points of a curve, of its key first."""
-    along = list(zip(curve.points, curve.tangents, strict=True))
-    for component, turn in ((-1, "key"), (-2, "slope")):
-        for a, b in itertools.pairwise(along):
-            found = turning(curve.equations, a, b, component)
-            if found is not None:
-                X, error = found
-                place = _place(curve.equations, X, window)
-                yield (curve.number, curve.kind, turn, *place, error)
+def _turning_rows(
+    curve: _Curve, window: _Window, turned: Sequence[Turning]
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of the turning points of a curve."""
+    names = {-1: "key", -2: "slope"}
+    for each in turned:
+        place = _place(curve.equations, each.X, window)
+        yield (curve.number, curve.kind, names[each.component], *place, each.error)
 
 
 def _meeting_rows(
-    curve: _Curve, window: _Window, others: Mapping[str, Condition]
+    curve: _Curve, window: _Window, met_here: Sequence[Meeting]
 ) -> Iterator[tuple[Any, ...]]:
-    """Rows of the points at which a curve meets other conditions."""
+    """Rows of the codimension-two points of a curve."""
     units = np.hstack([1.0, window.keys.scale])
-    for each in meetings(curve.equations, curve.points, curve.tangents, others):
+    for each in met_here:
         place = _place(curve.equations, each.X, window)
         head = curve.number, curve.kind, each.name, each.meets
         yield (*head, *place, *(each.error * units).tolist())

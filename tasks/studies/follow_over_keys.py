@@ -12,7 +12,7 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from gaitsweep.tasks.branches.equations import (
     correct_on_curve,
     slope_error,
 )
+from gaitsweep.tasks.branches.meetings import meetings, met, turnings
 from gaitsweep.tasks.branches.special_points import RATES
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.measures.passed import Curve
@@ -48,21 +49,11 @@ _NO_START = (
 _PARTS = 4
 #: How far a point may lie from the samples that bracket it, over their distance.
 _NEAR = 3.0
-_COLUMNS = (
-    "curve",
-    "kind",
-    "slope",
-    "key",
-    "value",
-    "other_key",
-    "other_value",
-    "stance_angle",
-    *RATES,
-    "period",
-    "error_bound",
-    "walks",
-    "stopped",
-)
+_KEYS = ("key", "value", "other_key", "other_value")
+_PLACE = ("slope", *_KEYS, "stance_angle", *RATES, "period")
+_CURVES = ("curve", "kind", *_PLACE, "error_bound", "walks", "stopped")
+_ERRORS = ("value_error", "other_value_error")
+_MEETINGS = ("curve", "kind", "point", "meets", *_PLACE, *_ERRORS)
 
 
 @dataclass(frozen=True)
@@ -153,8 +144,8 @@ def curves_over_keys(
     Returns
     -------
     dict
-        The table `curves`, as `tasks.studies.follow_curves:curve` has it, with
-        `other_key` and `other_value` of the second key.
+        The tables `curves` and `meetings`, as `tasks.studies.follow_curves:curve` has
+        them over a plane.
 
     Raises
     ------
@@ -163,27 +154,41 @@ def curves_over_keys(
     """
     low, high = zip(*ranges.values(), strict=True)
     found: list[tuple[Any, ...]] = []
+    met_there: list[tuple[Any, ...]] = []
     for slope in slopes.tolist():
         plane = _Plane(line, tuple(ranges), low, high, slope)
         along = list(plane.curves())
+        others = met(conditions, plane.keys.structure.kneed)
         for kind, condition in conditions.items():
-            for equations, points, stopped in _followed(plane, condition, along):
+            for curve in _followed(plane, condition, along):
                 number = len({row[0] for row in found})
-                placed = partial(_place, plane, equations)
-                found += rows((number, kind), equations, points, stopped, placed)
+                head, own = (number, kind), curve.equations
+                placed = partial(_place_and_error, plane, own)
+                found += rows(head, own, curve.points, curve.stopped, placed)
+                met_there += _meeting_rows(head, plane, curve, others)
 
-    curves = table("curves", found, _COLUMNS)
-    return curves if found else curves | nothing(_NO_START)
+    tables = table("curves", found, _CURVES)
+    tables |= table("meetings", met_there, _MEETINGS)
+    return tables if found else tables | nothing(_NO_START)
+
+
+class _Followed(NamedTuple):
+    """A curve that was followed: its equations, points and tangents (p, u), and why it
+    was followed no further at both ends.
+    """
+
+    equations: Equations
+    points: np.ndarray
+    tangents: np.ndarray
+    stopped: tuple[str, str]
 
 
 def _followed(
     plane: _Plane,
     condition: Condition,
     along: Sequence[tuple[int, float, Curve]],
-) -> Iterator[tuple[Equations, np.ndarray, tuple[str, str]]]:
-    """Curves of a condition, each once: its equations, points (p, u), and why it was
-    followed no further at both ends.
-    """
+) -> Iterator[_Followed]:
+    """Curves of a condition, each once."""
     equations = Equations(plane.keys, [condition], plane.slope)
     followed: list[np.ndarray] = []
     for guess, fixed, length in _starts(condition, along):
@@ -196,9 +201,11 @@ def _followed(
             continue
         if not _is_genuine(condition, first.at.gait.jacobians[0]):
             continue
-        points, _, stopped = follow_both_directions(equations, first, plane.window)
+        points, tangents, stopped = follow_both_directions(
+            equations, first, plane.window
+        )
         followed.append(points)
-        yield equations, points, stopped
+        yield _Followed(equations, points, tangents, stopped)
 
 
 def _is_genuine(condition: Condition, jacobian: np.ndarray) -> bool:
@@ -232,16 +239,39 @@ def _starts(
 
 def _place(plane: _Plane, equations: Equations, X: np.ndarray) -> tuple[Any, ...]:
     """Slope, both keys with their values, state at the start of the step and period of
-    a point, in the walker's units, and a bound on the relative error of the slope; of
-    the slope itself on level ground.
+    a point, in the walker's units.
     """
     value, other = plane.keys.values(X[-2:, None])[:, 0].tolist()
     time_unit = plane.walker_at(value, other).time_unit
     problem = equations.problem_at(X[:, None]).alone(0)
     Z, _ = equations.split(X[:, None])
     gait = start_and_period(problem, Z[:, 0], time_unit)
+    return (plane.slope, plane.names[0], value, plane.names[1], other, *gait)
 
+
+def _place_and_error(
+    plane: _Plane, equations: Equations, X: np.ndarray
+) -> tuple[Any, ...]:
+    """Place of a point, and a bound on the relative error of the slope; of the slope
+    itself on level ground.
+    """
+    problem = equations.problem_at(X[:, None]).alone(0)
+    Z, _ = equations.split(X[:, None])
     (condition,) = equations.conditions
     error = slope_error(problem, condition, Z[:, 0]) + 8 * EPS
-    keys = plane.names[0], value, plane.names[1], other
-    return (plane.slope, *keys, *gait, error)
+    return (*_place(plane, equations, X), error)
+
+
+def _meeting_rows(
+    head: tuple[int, str],
+    plane: _Plane,
+    curve: _Followed,
+    others: Mapping[str, Condition],
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of the codimension-two points of a curve."""
+    along = curve.equations, curve.points, curve.tangents
+    _, cusps = turnings(*along)
+    for each in (*cusps, *meetings(*along, head[1], others)):
+        errors = (each.error * plane.keys.scale).tolist()
+        place = _place(plane, curve.equations, each.X)
+        yield (*head, each.name, each.meets, *place, *errors)

@@ -266,6 +266,17 @@ def test_values_of_a_curves_key_have_its_unit(walker, key, unit):
         )
 
 
+def test_errors_of_the_values_of_two_keys_have_their_units():
+    plane = {"R": [0.1, 0.2], "detuning": [0.0, 1.0]}
+    asked = {"name": "s", "kind": "curve", "walker": "C", "options": {"plane": plane}}
+    plan = types.SimpleNamespace(
+        study=studies._study(asked | {"axes": {"slope": [0.01]}})
+    )
+    for name, unit in (("value_error", "m"), ("other_value_error", "1")):
+        found = result_tables._attributes(plan, "meetings", name)
+        assert found["units"] == unit
+
+
 def test_the_ranges_of_the_fitted_lines_are_slopes(archives):
     with netCDF4.Dataset(archives["grid"]) as file:
         table = file["fits/transition"]

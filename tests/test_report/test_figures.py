@@ -433,6 +433,28 @@ def test_a_codimension_two_point_of_two_curves_is_named_once(tmp_path):
     assert marks.rows["command"].str.contains("--set detuning=0.15").all()
 
 
+def test_over_two_keys_a_codimension_two_point_lies_at_both(tmp_path):
+    place = {"slope": [0.01] * 2, "key": ["detuning"] * 2, "other_key": ["R"] * 2}
+    curve = {"curve": [0, 0], "kind": ["fold"] * 2, **place, "value": [0.1, 0.2]}
+    met = {"kind": ["fold"], "point": ["cusp"], "value": [0.15], "other_value": [0.25]}
+    met |= {name: values[:1] for name, values in place.items()}
+    text = 'name = "c"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01]\n'
+    text += "[options]\nplane = { detuning = [0.0, 1.0], R = [0.1, 0.4] }\n"
+    tables = {"curves": curve | {"other_value": [0.2, 0.3]}, "meetings": met}
+
+    sketch = FIGURES["curves"](
+        read(write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables))
+    )
+
+    where = "cusp at detuning 0.15, R 0.25, slope 0.01 rad"
+    assert any(f"at once: {where}." in words for words in sketch.words)
+    (label,) = sketch.panels[0].texts
+    assert label.xy == (0.25, 0.15)
+    (marks,) = [each for each in sketch.marks if each.label == "cusp"]
+    command = marks.rows["command"].iloc[0]
+    assert "--set detuning=0.15" in command and "--set R=0.25" in command
+
+
 def test_a_curve_names_the_unit_of_its_key(tmp_path):
     curve = {
         "curve": [0, 0, 1, 1],

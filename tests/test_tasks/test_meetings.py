@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks.branches.equations import System
-from gaitsweep.tasks.branches.meetings import _cusps
+from gaitsweep.tasks.branches.meetings import turnings
 from gaitsweep.tasks.studies.follow_curves import curve
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
 from lines import _atlas
@@ -65,6 +65,41 @@ def test_beside_a_fold_flip_multipliers_are_nearly_1_and_minus_1(near_a):
             real = np.array(gait["multipliers"])[:, 0]
             off.append([np.abs(real - at).min() for at in (1, -1)])
     assert (np.array(off) < 1e-2).all(axis=1).any()
+
+
+@pytest.mark.thorough
+def test_over_two_keys_at_its_slope_lies_the_same_fold_flip(near_a):
+    """At the walker's own value of the other key."""
+    slope, detuning, *_ = meeting(near_a, "fold", "fold-flip")
+    asked = {"line": {"walker": "A", "set": {}}, "slope": np.array([slope])}
+    plane = {"detuning": (0.41, 0.43), "R": (0.19, 0.21)}
+
+    found = curve({**asked, "plane": plane, "kinds": ["fold", "flip"]}, [])
+
+    assert list(found["meetings/meets"]) == ["flip", "fold"]
+    for column, known in (("value", detuning), ("other_value", 0.2)):
+        off = np.abs(found[f"meetings/{column}"] - known)
+        # The slope is known to about twelve digits, which moves both keys.
+        assert (off < found[f"meetings/{column}_error"] + 1e-9).all()
+        assert (found[f"meetings/{column}_error"] < 1e-10).all()
+
+
+def test_a_curve_that_meets_a_level_says_which():
+    asked = {
+        "line": {"walker": "A", "set": {"detuning": 0.42}},
+        "slope": np.array([4e-3, 8e-3]),
+        "key": "detuning",
+        "from": 0.415,
+        "to": 0.425,
+        "kinds": ["fold"],
+        "levels": {"period": 0.893},
+    }
+
+    found = curve(asked, [_atlas("A", (("detuning", 0.42),))])
+
+    of_fold = found["meetings/meets"] == "period = 0.893"
+    assert of_fold.sum() == 1
+    assert found["meetings/point"][of_fold] == "fold and period = 0.893"
 
 
 @pytest.mark.thorough
@@ -135,8 +170,11 @@ def test_a_cusp_is_where_a_curve_of_folds_turns_in_slope_and_key():
     tangents = np.array([0 * x + 1, slope_by_x, -6 * x]).T
     tangents /= np.linalg.norm(tangents, axis=1)[:, None]
 
-    (cusp,) = _cusps(Cubic(), points, tangents)
+    turned, (cusp,) = turnings(Cubic(), points, tangents)
 
+    # The key turns nowhere else.
+    (alone,) = turned
+    assert alone.component == -2 and alone.X[0] == pytest.approx(-TILT, abs=1e-6)
     assert cusp.name == "cusp"
     off = np.abs(cusp.X - [0.0, SLOPE, 0.0])
     assert off[0] < 1e-9

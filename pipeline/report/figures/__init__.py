@@ -15,6 +15,7 @@ from gaitsweep.pipeline.report.figures import (
     bifurcation,
     body,
     branch_curves,
+    curves,
     cycle,
     design_maps,
     families,
@@ -57,7 +58,7 @@ _DRAWN: dict[str, Callable[..., Sketch | None]] = {
     "sensitivities": ranking.sensitivities,
     "census": searches.census,
     "cascade": searches.cascade,
-    "curves": searches.curves,
+    "curves": curves.curves,
     "optimum": optima.optimum,
     "sought": sought.sought,
 }

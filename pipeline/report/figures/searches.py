@@ -1,6 +1,4 @@
-"""What searches found: a census of gaits, cascades of period doublings, and curves of
-folds and flips.
-"""
+"""What searches found: a census of gaits, and cascades of period doublings."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -13,21 +11,15 @@ from matplotlib.ticker import MaxNLocator
 from gaitsweep.pipeline.report.figures.sketch import TIPS, Sketch
 from gaitsweep.pipeline.report.figures.style import (
     DOTTED,
-    INK,
     MARKERS,
     MUTED,
     PAPER,
-    colour,
     inks,
-    write_at,
 )
 from gaitsweep.pipeline.report.source import Line, Source, rows_at
 from gaitsweep.pipeline.report.words import (
     plain,
-    print_units,
     shorten,
-    spaced,
-    symbol,
     with_unit,
 )
 
@@ -99,8 +91,10 @@ def cascade(source: Source, table: pd.DataFrame) -> Sketch | None:
     sketch = Sketch("cascade", 330)
     (axes,) = sketch.panels
     names = [one.line.called if one.line.called else one.name for one in families]
-    for k, (one, ink) in enumerate(zip(families, inks(names), strict=True)):
-        _draw_family(sketch, source, axes, one, ink, MARKERS[k % len(MARKERS)])
+    colours = inks(names)
+    for k, (one, ink) in enumerate(zip(families, colours, strict=True)):
+        marker = MARKERS[k % len(MARKERS)]
+        _draw_family(sketch, source, axes, one, ink, marker)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     sketch.key(f"Feigenbaum's ratio {FEIGENBAUM:.4f}", MUTED, lw=1, ls=DOTTED)
 
@@ -158,141 +152,3 @@ def _draw_family(
         y="gap",
         free=True,
     )
-
-
-def curves(source: Source, table: pd.DataFrame) -> Sketch:
-    """Plot the curves of folds, flips or ends over the slope and the key that varies,
-    with their turning points, or over two keys.
-    """
-    sketch = Sketch("curves", 330)
-    (axes,) = sketch.panels
-    table = table if "kind" in table else table.assign(kind="curve")
-    kinds = {str(kind): colour(k) for k, kind in enumerate(table["kind"].unique())}
-    for line in source.lines_of(table):
-        for number, curve in line.rows.groupby("curve", sort=False):
-            _draw_curve(sketch, source, line, number, curve, kinds)
-
-    key = str(table["key"].iloc[0])
-    unit = print_units(table.attrs.get("units", {}).get("value", ""))
-    touches = _mark_touches(source, axes, key)
-    meetings = _mark_meetings(sketch, source, key)
-    several = {kind: _several(kind) for kind in kinds}
-    for kind, ink in kinds.items():
-        sketch.key(several[kind], ink, lw=1.5)
-    return sketch.finish(
-        table,
-        count=len(touches),
-        touches="; ".join(touches),
-        meetings="; ".join(meetings),
-        Kinds=" and ".join(several.values()).capitalize(),
-        kinds=", ".join(kinds),
-        key=key,
-        value=with_unit(symbol(key), unit),
-        **_abscissa(table),
-    )
-
-
-def _abscissa(table: pd.DataFrame) -> dict[str, str]:
-    """What curves lie over beside the key: the slope, or another key at fixed slopes."""
-    if "other_key" not in table:
-        return {"x": "slope γ (rad)", "over": "slope"}
-    key = str(table["other_key"].iloc[0])
-    unit = print_units(table.attrs.get("units", {}).get("other_value", ""))
-    slopes = sorted(set(table["slope"].tolist()))
-    shown = ", ".join(plain(slope) for slope in slopes)
-    return {
-        "x": with_unit(symbol(key), unit),
-        "over": f"{key} at slope {shown} rad",
-    }
-
-
-def _draw_curve(
-    sketch: Sketch,
-    source: Source,
-    line: Line,
-    number: Any,
-    curve: pd.DataFrame,
-    kinds: dict[str, str],
-) -> None:
-    """Draw one curve in the colour of its kind; each point tells its values and the
-    command that solves it.
-    """
-    (axes,) = sketch.panels
-    kind, key = str(curve["kind"].iloc[0]), str(curve["key"].iloc[0])
-    x = "other_value" if "other_value" in curve else "slope"
-    axes.plot(curve[x], curve["value"], color=kinds[kind], lw=1.5)
-
-    words = line.label, f"{spaced(kind)}, curve {number}"
-    keys = {key: "value"}
-    if x == "other_value":
-        keys[str(curve["other_key"].iloc[0])] = x
-    others = {name: value for name, value in line.at.items() if name not in keys}
-    commands = _commands(source.command(others), curve, keys)
-    rows = curve.assign(command=commands)
-    tips = {"slope": "γ (rad)", **{of: name for name, of in keys.items()}}
-    label = ", ".join(filter(None, words))
-    sketch.mark(axes, rows, label, tips=tips, x=x, y="value")
-
-
-def _commands(base: str, curve: pd.DataFrame, keys: dict[str, str]) -> list[str]:
-    """The command that solves each point of a curve, whose keys are in some columns."""
-    commands = []
-    for row in curve.to_dict("records"):
-        sets = "".join(f" --set {name}={row[of]!r}" for name, of in keys.items())
-        commands.append(f"{base}{sets} --slope {row['slope']!r}")
-    return commands
-
-
-def _several(kind: str) -> str:
-    """Points of a curve in words: folds, or gaits of a level."""
-    return spaced(kind) if "=" in kind else f"{spaced(kind)}s"
-
-
-def _mark_touches(source: Source, axes: Axes, key: str) -> list[str]:
-    """Mark where branches touch: where a curve of folds turns back in its key; these
-    places in words.
-    """
-    turns = source.table("turnings", "slope", "value", "turn")
-    if turns is None:
-        return []
-    # Where curves of flips or ends turn back, two such points meet on one branch.
-    kinds = (
-        turns["kind"].astype(str) if "kind" in turns else pd.Series("fold", turns.index)
-    )
-    touches = []
-    for row in turns[(turns["turn"] == "key") & (kinds == "fold")].itertuples():
-        axes.plot([row.slope], [row.value], "o", color=INK, mfc=PAPER, ms=7, zorder=5)
-        words = (
-            f"branches touch: {key} {plain(row.value, 6)}, γ = {plain(row.slope, 6)}"
-        )
-        write_at(axes, words, (row.slope, row.value), (0, -16), ha="center")
-        touches.append(
-            f"{key} {plain(row.value, 9)} and slope {plain(row.slope, 9)} rad"
-        )
-    return touches
-
-
-def _mark_meetings(sketch: Sketch, source: Source, key: str) -> list[str]:
-    """Mark codimension-two points with their names; these in words. Where both curves
-    were followed, either has the point, which is named once.
-    """
-    (axes,) = sketch.panels
-    table = source.table("meetings", "slope", "value", "point")
-    if table is None:
-        return []
-    named: list[str] = []
-    tips = {"slope": "γ (rad)", "value": key}
-    for line in source.lines_of(table):
-        others = {name: value for name, value in line.at.items() if name != key}
-        commands = _commands(source.command(others), line.rows, {key: "value"})
-        for name, rows in line.rows.assign(command=commands).groupby("point"):
-            axes.plot(rows["slope"], rows["value"], "D", color=INK, ms=5, zorder=6)
-            label = ", ".join(filter(None, (line.label, spaced(str(name)))))
-            sketch.mark(axes, rows, label, tips=tips, x="slope", y="value")
-            for row in rows.itertuples():
-                where = f"{key} {plain(row.value, 6)}, slope {plain(row.slope, 6)} rad"
-                words = f"{label} at {where}"
-                if words not in named:
-                    write_at(axes, spaced(str(name)), (row.slope, row.value), (6, 6))
-                    named.append(words)
-    return named
