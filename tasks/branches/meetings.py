@@ -19,8 +19,9 @@ import numpy as np
 from numpy import ndarray
 
 from gaitsweep.tasks.branches.conditions import CONDITIONS, Condition
-from gaitsweep.tasks.branches.curves import turning, walks
+from gaitsweep.tasks.branches.curves import follow_both_directions, turning, walks
 from gaitsweep.tasks.branches.equations import Equations, errors, solve
+from gaitsweep.tasks.branches.pseudo_arclength import CLOSED, Point
 from gaitsweep.tasks.branches.root import hermite
 from gaitsweep.tasks.mechanics.arrays import Gait
 from gaitsweep.tasks.step.problem import EPS
@@ -35,6 +36,7 @@ _NAMES = {
     frozenset({"fold", "neimark_sacker"}): "resonance 1:1",
     frozenset({"flip", "neimark_sacker"}): "resonance 1:2",
 }
+_RESONANCES = tuple(name for name in _NAMES.values() if name.startswith("resonance"))
 #: Where heelstrike is tangential the map has no derivative, and no multipliers.
 _WITHOUT_MULTIPLIERS = [
     {"end_tangential_heelstrike", kind} for kind in ("flip", "neimark_sacker")
@@ -49,6 +51,9 @@ _PARTS = 4
 #: Distance from the change of sign within which the point lies, over the segment; and
 #: that of the turnings of slope and key at a cusp, over a range.
 _NEAR, _SAME_TURNING = 1.0, 1e-6
+#: Why a curve is followed no further where its kind's multipliers are others beyond, and
+#: no resonance was found.
+_OTHER_MULTIPLIERS = "multipliers"
 
 
 @dataclass(frozen=True)
@@ -64,20 +69,15 @@ class Meeting:
     X : ndarray, shape (u,)
     error : ndarray, shape (2,)
         Bounds on the errors of its last two unknowns: ln slope and a key, or two keys.
+    segment : int
+        Number of the curve's point before it.
     """
 
     name: str
     meets: str
     X: Gait
     error: ndarray
-
-
-def met(conditions: Mapping[str, Condition], has_knees: bool) -> dict[str, Condition]:
-    """Return the conditions that curves of a walker may meet, by their names: those
-    given, and all that any curve may meet.
-    """
-    names = _ALWAYS + _WITH_KNEES * has_knees
-    return {name: CONDITIONS[name] for name in names} | dict(conditions)
+    segment: int
 
 
 class Turning(NamedTuple):
@@ -98,6 +98,133 @@ class Turning(NamedTuple):
     component: int
     X: Gait
     error: float
+
+
+class Followed(NamedTuple):
+    """A curve of a condition, and its points of higher codimension.
+
+    Attributes
+    ----------
+    equations : Equations
+        That hold on it.
+    kind : str
+        The condition's name in tables.
+    points : ndarray, shape (p, u)
+    stopped : tuple of str
+        Why it was followed no further at its first and at its last point.
+    turnings : list of Turning
+    meetings : list of Meeting
+    """
+
+    equations: Equations
+    kind: str
+    points: ndarray
+    stopped: tuple[str, str]
+    turnings: list[Turning]
+    meetings: list[Meeting]
+
+
+def followed(
+    equations: Equations,
+    kind: str,
+    first: Point,
+    window: ndarray,
+    others: Mapping[str, Condition],
+) -> Followed:
+    """Follow a curve from a point on it in both directions, and locate its turning and
+    codimension-two points. A curve of complex pairs ends at the resonances beyond which
+    they are real.
+
+    Parameters
+    ----------
+    equations : Equations
+        Of the curve, with one condition.
+    kind : str
+        The condition's name in tables.
+    first : Point
+    window : ndarray
+        As for `branches.curves.follow`.
+    others : mapping
+        Conditions that it may meet, by their names; its own is passed over.
+    """
+    points, tangents, stopped = follow_both_directions(equations, first, window)
+    low, high = 0, len(points)
+    (own,) = equations.conditions
+    if own.kind.critical == "pair":
+        is_pair = _has_pair(equations, points)
+        if stopped[0] == CLOSED and not is_pair.all():
+            order = _opened(is_pair)
+            points, tangents, is_pair = points[order], tangents[order], is_pair[order]
+        low, high = _run(is_pair, _place_of(first.Z[:, 0], points))
+
+    every = list(meetings(equations, points, tangents, kind, others))
+    within = [each for each in every if low - 1 <= each.segment < high]
+    part = slice(low, high)
+    turned, cusps = turnings(equations, points[part], tangents[part])
+    points, stopped = _with_ends(points, low, high, stopped, within)
+    return Followed(equations, kind, points, stopped, turned, [*cusps, *within])
+
+
+def _has_pair(equations: Equations, points: ndarray) -> ndarray:
+    """Whether the multipliers that the curve's condition makes reciprocal are a complex
+    pair, at points (p, u), shape (p,).
+    """
+    (own,) = equations.conditions
+    assert own.is_genuine
+    multipliers = equations.evaluate(points.T).multipliers
+    return np.array([own.is_genuine(each) for each in multipliers])
+
+
+def _place_of(X: Gait, points: ndarray) -> int:
+    """Number of a point (u,) among those of a curve."""
+    return int(np.linalg.norm(points - X, axis=1).argmin())
+
+
+def _opened(is_pair: ndarray) -> ndarray:
+    """Order of the points of a closed curve in which it begins where there is no pair."""
+    begin = int(np.argmin(is_pair))
+    last = len(is_pair) - 1
+    return np.r_[begin:last, : begin + 1]
+
+
+def _run(is_pair: ndarray, start: int) -> tuple[int, int]:
+    """First, and one past the last, of the points about one that have a pair."""
+    others = np.flatnonzero(~is_pair)
+    before, after = others[others < start], others[others > start]
+    low = int(before[-1]) + 1 if len(before) else 0
+    high = int(after[0]) if len(after) else len(is_pair)
+    return low, high
+
+
+def _with_ends(
+    points: ndarray,
+    low: int,
+    high: int,
+    stopped: tuple[str, str],
+    within: Sequence[Meeting],
+) -> tuple[ndarray, tuple[str, str]]:
+    """The points of a curve from `low` to before `high`, with the resonances at which
+    this part ends, and why it was followed no further.
+    """
+    resonances = {each.segment: each for each in within if each.name in _RESONANCES}
+    reasons = [stopped[0], stopped[1]]
+    parts = [points[low:high]]
+    for end, segment in ((0, low - 1), (1, high - 1)):
+        if not 0 <= segment < len(points) - 1:
+            continue
+        reasons[end] = _OTHER_MULTIPLIERS
+        if segment in resonances:
+            reasons[end] = resonances[segment].name
+            parts.insert(end * len(parts), resonances[segment].X[None])
+    return np.vstack(parts), (reasons[0], reasons[1])
+
+
+def met(conditions: Mapping[str, Condition], has_knees: bool) -> dict[str, Condition]:
+    """Return the conditions that curves of a walker may meet, by their names: those
+    given, and all that any curve may meet.
+    """
+    names = _ALWAYS + _WITH_KNEES * has_knees
+    return {name: CONDITIONS[name] for name in names} | dict(conditions)
 
 
 def turnings(
@@ -139,7 +266,7 @@ def _cusp(of_last: Turning, of_other: Turning) -> Meeting:
     X = of_other.X
     apart = np.abs(X - of_last.X)[-2:]
     error = max(of_last.error, of_other.error)
-    return Meeting(CUSP, "", X, apart + error + 8 * EPS)
+    return Meeting(CUSP, "", X, apart + error + 8 * EPS, of_other.segment)
 
 
 def meetings(
@@ -177,11 +304,13 @@ def meetings(
         for k in np.flatnonzero(off[1:] * off[:-1] < 0).tolist():
             share = off[k] / (off[k] - off[k + 1])
             guess = samples[:, k] + share * (samples[:, k + 1] - samples[:, k])
-            found = _solved(both, guess, lengths[k // _PARTS])
+            segment = k // _PARTS
+            found = _solved(both, guess, lengths[segment])
             if found is not None:
                 named = _name((kind, name), both, found)
                 if named:
-                    yield Meeting(named, name, found, errors(both, found, 2))
+                    error = errors(both, found, 2)
+                    yield Meeting(named, name, found, error, segment)
 
 
 def _between(points: ndarray, tangents: ndarray) -> tuple[ndarray, ndarray]:

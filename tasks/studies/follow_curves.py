@@ -4,7 +4,7 @@ a value, continued in slope and one key of the walker.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -18,7 +18,6 @@ from gaitsweep.tasks.branches.conditions import CONDITIONS, Condition
 from gaitsweep.tasks.branches.curves import (
     across_last,
     at_value,
-    follow_both_directions,
 )
 from gaitsweep.tasks.branches.equations import (
     DIFFERENCE,
@@ -27,7 +26,7 @@ from gaitsweep.tasks.branches.equations import (
     correct_on_curve,
     slope_error,
 )
-from gaitsweep.tasks.branches.meetings import Meeting, Turning, meetings, met, turnings
+from gaitsweep.tasks.branches.meetings import Followed, followed, met
 from gaitsweep.tasks.branches.special_points import RATES, passings, special_points
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
@@ -49,7 +48,15 @@ _NO_START = (
 #: at a special one.
 _BESIDE = 1e-3
 #: Columns of the tables.
-_PLACE = ("slope", "key", "value", "stance_angle", *RATES, "period", "error_bound")
+_PLACE = (
+    "slope",
+    "key",
+    "value",
+    "stance_angle",
+    *RATES,
+    "period",
+    "error_bound",
+)
 _CURVES = ("curve", "kind", *_PLACE, "walks", "stopped")
 _TURNINGS = ("curve", "kind", "turn", *_PLACE)
 _MEETINGS = ("curve", "kind", "point", "meets", *_PLACE, "value_error")
@@ -187,32 +194,16 @@ def _follow_all(
         if not first.ok[0] or _is_among(seen, kind, first.Z[:, 0]):
             continue
 
-        points, tangents, stopped = follow_both_directions(
-            equations, first, window.edges
-        )
+        curve = followed(equations, kind, first, window.edges, others)
         # A curve that returns to the line it began on passes through another of its
         # points.
-        returns = at_value(equations, points, first.Z[-1, 0])
+        returns = at_value(equations, curve.points, first.Z[-1, 0])
         seen += [(kind, X) for X in (first.Z[:, 0], *returns)]
         number = len({row[0] for row in tables.curves})
-        curve = _Curve(number, kind, equations, points, tangents)
-        tables.curves.extend(_curve_rows(curve, window, stopped))
-        _add_points(curve, others, window, tables)
+        tables.curves.extend(_curve_rows(number, curve, window))
+        tables.turnings.extend(_turning_rows(number, curve, window))
+        tables.meetings.extend(_meeting_rows(number, curve, window))
     return bool(seen)
-
-
-def _add_points(
-    curve: _Curve,
-    others: Mapping[str, Condition],
-    window: _Window,
-    tables: _Tables,
-) -> None:
-    """Add the turning points and the codimension-two points of a curve to the tables."""
-    along = curve.equations, curve.points, curve.tangents
-    turned, cusps = turnings(*along)
-    tables.turnings.extend(_turning_rows(curve, window, turned))
-    met_here = meetings(*along, curve.kind, others)
-    tables.meetings.extend(_meeting_rows(curve, window, [*cusps, *met_here]))
 
 
 def _is_among(seen: list[tuple[str, ndarray]], kind: str, X: ndarray) -> bool:
@@ -225,45 +216,34 @@ def _placed(equations: Equations, window: _Window, X: ndarray) -> tuple[Any, ...
     return (*_place(equations, X, window), _error(equations, X, window))
 
 
-class _Curve(NamedTuple):
-    """A curve that was followed: its number and kind, the equations that hold on it, and
-    its points and tangents, shape (p, u).
-    """
-
-    number: int
-    kind: str
-    equations: Equations
-    points: ndarray
-    tangents: ndarray
-
-
 def _curve_rows(
-    curve: _Curve, window: _Window, stopped: tuple[str, str]
+    number: int, curve: Followed, window: _Window
 ) -> Iterator[tuple[Any, ...]]:
-    """Rows of the points of a curve, which `stopped` at its ends."""
+    """Rows of the points of a curve."""
     placed = partial(_placed, curve.equations, window)
-    head = curve.number, curve.kind
-    return rows(head, curve.equations, curve.points, stopped, placed)
+    head = number, curve.kind
+    return rows(head, curve.equations, curve.points, curve.stopped, placed)
 
 
 def _turning_rows(
-    curve: _Curve, window: _Window, turned: Sequence[Turning]
+    number: int, curve: Followed, window: _Window
 ) -> Iterator[tuple[Any, ...]]:
     """Rows of the turning points of a curve."""
     names = {-1: "key", -2: "slope"}
-    for each in turned:
+    for each in curve.turnings:
+        head = number, curve.kind, names[each.component]
         place = _place(curve.equations, each.X, window)
-        yield (curve.number, curve.kind, names[each.component], *place, each.error)
+        yield (*head, *place, each.error)
 
 
 def _meeting_rows(
-    curve: _Curve, window: _Window, met_here: Sequence[Meeting]
+    number: int, curve: Followed, window: _Window
 ) -> Iterator[tuple[Any, ...]]:
     """Rows of the codimension-two points of a curve."""
     units = np.hstack([1.0, window.keys.scale])
-    for each in met_here:
+    for each in curve.meetings:
+        head = number, curve.kind, each.name, each.meets
         place = _place(curve.equations, each.X, window)
-        head = curve.number, curve.kind, each.name, each.meets
         yield (*head, *place, *(each.error * units).tolist())
 
 

@@ -12,19 +12,18 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from gaitsweep.tasks.branches.conditions import Condition
-from gaitsweep.tasks.branches.curves import follow_both_directions
 from gaitsweep.tasks.branches.equations import (
     Equations,
     Keys,
     correct_on_curve,
     slope_error,
 )
-from gaitsweep.tasks.branches.meetings import meetings, met, turnings
+from gaitsweep.tasks.branches.meetings import Followed, followed, met
 from gaitsweep.tasks.branches.special_points import RATES
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.measures.passed import Curve
@@ -160,52 +159,40 @@ def curves_over_keys(
         along = list(plane.curves())
         others = met(conditions, plane.keys.structure.kneed)
         for kind, condition in conditions.items():
-            for curve in _followed(plane, condition, along):
+            equations = Equations(plane.keys, [condition], plane.slope)
+            for curve in _curves(plane, kind, equations, along, others):
                 number = len({row[0] for row in found})
-                head, own = (number, kind), curve.equations
-                placed = partial(_place_and_error, plane, own)
-                found += rows(head, own, curve.points, curve.stopped, placed)
-                met_there += _meeting_rows(head, plane, curve, others)
+                found += _curve_rows(number, plane, curve)
+                met_there += _meeting_rows(number, plane, curve)
 
     tables = table("curves", found, _CURVES)
     tables |= table("meetings", met_there, _MEETINGS)
     return tables if found else tables | nothing(_NO_START)
 
 
-class _Followed(NamedTuple):
-    """A curve that was followed: its equations, points and tangents (p, u), and why it
-    was followed no further at both ends.
-    """
-
-    equations: Equations
-    points: np.ndarray
-    tangents: np.ndarray
-    stopped: tuple[str, str]
-
-
-def _followed(
+def _curves(
     plane: _Plane,
-    condition: Condition,
+    kind: str,
+    equations: Equations,
     along: Sequence[tuple[int, float, Curve]],
-) -> Iterator[_Followed]:
+    others: Mapping[str, Condition],
+) -> Iterator[Followed]:
     """Curves of a condition, each once."""
-    equations = Equations(plane.keys, [condition], plane.slope)
-    followed: list[np.ndarray] = []
+    (condition,) = equations.conditions
+    seen: list[np.ndarray] = []
     for guess, fixed, length in _starts(condition, along):
         border = np.eye(len(guess))[:, [fixed]]
         first = correct_on_curve(equations, guess[:, None], border)
         is_near = norm(first.Z - guess[:, None])[0] < _NEAR * length
         if not first.ok[0] or not is_near:
             continue
-        if is_on(equations, followed, first.Z[:, 0]):
+        if is_on(equations, seen, first.Z[:, 0]):
             continue
         if not _is_genuine(condition, first.at.gait.jacobians[0]):
             continue
-        points, tangents, stopped = follow_both_directions(
-            equations, first, plane.window
-        )
-        followed.append(points)
-        yield _Followed(equations, points, tangents, stopped)
+        curve = followed(equations, kind, first, plane.window, others)
+        seen.append(curve.points)
+        yield curve
 
 
 def _is_genuine(condition: Condition, jacobian: np.ndarray) -> bool:
@@ -262,16 +249,20 @@ def _place_and_error(
     return (*_place(plane, equations, X), error)
 
 
+def _curve_rows(
+    number: int, plane: _Plane, curve: Followed
+) -> Iterator[tuple[Any, ...]]:
+    """Rows of the points of a curve."""
+    placed = partial(_place_and_error, plane, curve.equations)
+    head = number, curve.kind
+    return rows(head, curve.equations, curve.points, curve.stopped, placed)
+
+
 def _meeting_rows(
-    head: tuple[int, str],
-    plane: _Plane,
-    curve: _Followed,
-    others: Mapping[str, Condition],
+    number: int, plane: _Plane, curve: Followed
 ) -> Iterator[tuple[Any, ...]]:
     """Rows of the codimension-two points of a curve."""
-    along = curve.equations, curve.points, curve.tangents
-    _, cusps = turnings(*along)
-    for each in (*cusps, *meetings(*along, head[1], others)):
+    for each in curve.meetings:
         errors = (each.error * plane.keys.scale).tolist()
         place = _place(plane, curve.equations, each.X)
-        yield (*head, each.name, each.meets, *place, *errors)
+        yield (number, curve.kind, each.name, each.meets, *place, *errors)

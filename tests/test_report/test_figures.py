@@ -435,7 +435,8 @@ def test_a_codimension_two_point_of_two_curves_is_named_once(tmp_path):
 
 def test_over_two_keys_a_codimension_two_point_lies_at_both(tmp_path):
     place = {"slope": [0.01] * 2, "key": ["detuning"] * 2, "other_key": ["R"] * 2}
-    curve = {"curve": [0, 0], "kind": ["fold"] * 2, **place, "value": [0.1, 0.2]}
+    kinds = ["neimark_sacker"] * 2
+    curve = {"curve": [0, 0], "kind": kinds, **place, "value": [0.1, 0.2]}
     met = {"kind": ["fold"], "point": ["cusp"], "value": [0.15], "other_value": [0.25]}
     met |= {name: values[:1] for name, values in place.items()}
     text = 'name = "c"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01]\n'
@@ -450,6 +451,7 @@ def test_over_two_keys_a_codimension_two_point_lies_at_both(tmp_path):
     assert any(f"at once: {where}." in words for words in sketch.words)
     (label,) = sketch.panels[0].texts
     assert label.xy == (0.25, 0.15)
+    assert any(words.startswith("Neimark–Sacker points over") for words in sketch.words)
     (marks,) = [each for each in sketch.marks if each.label == "cusp"]
     command = marks.rows["command"].iloc[0]
     assert "--set detuning=0.15" in command and "--set R=0.25" in command

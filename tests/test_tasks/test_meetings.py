@@ -134,6 +134,15 @@ def test_curves_of_folds_and_of_complex_pairs_have_the_resonance():
     assert fold[:2] == pytest.approx((0.172984691440933, 1.19212658779289), rel=1e-11)
     agree(fold, pair)
 
+    # Beyond it the multipliers are real: the curve of pairs ends there.
+    of_pairs = found["curves/kind"] == "neimark_sacker"
+    assert list(found["curves/stopped"][of_pairs][[0, -1]]) == [
+        "resonance 1:1",
+        "border",
+    ]
+    assert found["curves/value"][of_pairs][0] == pair[1]
+    assert (found["curves/value"][of_pairs][1:] > pair[1]).all()
+
 
 #: Slope of the cusp below, and how it moves with the key.
 SLOPE, TILT = -3.0, 0.5

@@ -44,12 +44,13 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
     several = {kind: _several(kind) for kind in kinds}
     for kind, ink in kinds.items():
         sketch.key(several[kind], ink, lw=1.5)
+    words = " and ".join(several.values())
     return sketch.finish(
         table,
         count=len(touches),
         touches="; ".join(touches),
         meetings="; ".join(meetings),
-        Kinds=" and ".join(several.values()).capitalize(),
+        Kinds=words[0].upper() + words[1:],
         kinds=", ".join(kinds),
         key=key,
         value=with_unit(symbol(key), unit),
@@ -109,6 +110,8 @@ def _commands(base: str, curve: pd.DataFrame, keys: dict[str, str]) -> list[str]
 
 def _several(kind: str) -> str:
     """Points of a curve in words: folds, or gaits of a level."""
+    if kind == "neimark_sacker":
+        return "Neimark–Sacker points"
     return spaced(kind) if "=" in kind else f"{spaced(kind)}s"
 
 
