@@ -76,9 +76,11 @@ _SYMBOL = re.compile(r"[a-z]_[a-zA-Z]")
 
 
 def spaced(name: Any) -> str:
-    """A name in words; a symbol as it is."""
+    """A name in words, of a point that has two names both; a symbol as it is."""
     if _SYMBOL.fullmatch(str(name)):
         return str(name)
+    if " and " in str(name):
+        return " + ".join(map(spaced, str(name).split(" and ")))
     return str(WORDS["names"].get(name) or str(name).replace("_", " "))
 
 

@@ -110,9 +110,9 @@ def _commands(base: str, curve: pd.DataFrame, keys: dict[str, str]) -> list[str]
 
 def _several(kind: str) -> str:
     """Points of a curve in words: folds, or gaits of a level."""
-    if kind == "neimark_sacker":
-        return "Neimark–Sacker points"
-    return spaced(kind) if "=" in kind else f"{spaced(kind)}s"
+    if "=" in kind:
+        return spaced(kind)
+    return f"{spaced(kind)} points" if kind == "neimark_sacker" else f"{spaced(kind)}s"
 
 
 def _mark_touches(source: Source, axes: Axes, key: str) -> list[str]:
