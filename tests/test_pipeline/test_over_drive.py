@@ -2,7 +2,9 @@
 page.
 """
 
+import json
 import re
+import shlex
 
 import numpy as np
 import pandas as pd
@@ -139,6 +141,52 @@ def test_a_page_draws_branches_over_the_push_off(branches, tmp_path):
     assert figure.get_supxlabel() == "push off"
 
 
+def commands_of(page):
+    """The commands of the marks and maps of a page, as its script completes them."""
+    for text in re.findall(r'class="marks">(.*?)</script>', page, re.S):
+        for curve in json.loads(text):
+            assert curve["command"].endswith("=")
+            yield from (f"{curve['command']}{row[2]!r}" for row in curve["rows"])
+    for text in re.findall(r'class="panels">(.*?)</script>', page, re.S):
+        for panel in json.loads(text):
+            yield f"{panel['command']} --slope {panel['slope']!r}"
+
+
+SMALL = {
+    "branch": ("locus", {"from": 0.05, "to": 0.2, "n": 8}, {}),
+    "cascade": ("cascade", [0.05, 0.3], {"periods": 8, "steps": 0}),
+    "orbit": ("bifurcation", [0.13, 0.15], {"starts": 1, "transient": 20, "steps": 4}),
+    "basin": ("basin", [0.1, 0.12], {"size": 8, "steps": 10}),
+}
+
+
+@pytest.mark.parametrize("kind", SMALL)
+@pytest.mark.parametrize(
+    "is_file", [False, pytest.param(True, marks=pytest.mark.thorough)]
+)
+def test_commands_of_pages_run_where_the_walker_itself_has_what_drives(
+    kind, is_file, tmp_path, capsys, monkeypatch
+):
+    """Given on the command line, or as the study's file, which the pages offer."""
+    name, pushes, options = SMALL[kind]
+    walker = {"base": "D", "push_off": 0.1} | ({"knees": False} if is_file else {})
+    wanted = {"want": {"figures": [name]}, "options": options}
+    archive = run(tmp_path, study(kind, walker, push_off=pushes, **wanted))
+    gaitsweep.report(archive, tmp_path)
+    commands = [*commands_of((tmp_path / f"{kind}.html").read_text())]
+    assert len(commands) > 1 - (kind == "basin")
+
+    monkeypatch.chdir(tmp_path)
+    own = '[walker]\nbase = "D"\npush_off = 0.1\nknees = false\n'
+    (tmp_path / f"{kind}.toml").write_text(own)
+    for command in commands[:: max(1, len(commands) // 2)]:
+        words = shlex.split(command)
+        assert words[:2] == ["gaitsweep", "solve"]
+        assert (f"{kind}.toml" in words) == is_file
+        assert main(words[1:]) == 0, command
+        capsys.readouterr()
+
+
 def test_a_cascade_over_the_push_off_follows_feigenbaum(tmp_path, branches):
     options = {"periods": 32, "steps": 0}
     archive = run(tmp_path, study("cascade", push_off=[0.05, 0.3], options=options))
@@ -190,7 +238,7 @@ def test_pages_of_orbits_over_the_push_off_name_it(orbits, tmp_path):
     gaitsweep.report(orbits, tmp_path)
     page = (tmp_path / "orbit.html").read_text()
     assert "stance angles against push off from 0.13 to 0.15" in page
-    assert 'id="lines"' not in page
+    assert '"along":"push_off"' in page
 
 
 def test_archives_over_other_push_offs_are_compared_at_those_they_share(

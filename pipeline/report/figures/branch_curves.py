@@ -220,14 +220,14 @@ def _mark_gaits(sketch: Sketch, axes: Axes, source: Source, line: Line) -> None:
     rows = thin(line.rows.dropna(subset=["stance_angle"]), 300)
     if "stable" in rows:
         rows = rows.assign(stable=yes_or_no(rows["stable"]))
-    solved, command = source.solving(line, rows)
     sketch.mark(
         axes,
-        solved,
+        rows,
         line.label or "branch",
-        command=command,
+        command=line.command,
         tips=_tips(source) | TIPS | {"stable": "stable"},
         x=source.along,
+        along=source.along,
     )
 
 
@@ -368,14 +368,14 @@ def _draw_special(
         ),
     )
     tips = {"told": "kind", **_tips(source), "slope": "γ (rad)", "angle": "θ* (rad)"}
-    solved, command = source.solving(line, gaits)
     sketch.mark(
         axes,
-        solved,
+        gaits,
         "special point",
-        command=command,
+        command=line.command,
         tips=tips,
         x=along,
+        along=along,
         y="angle",
         above=True,
     )

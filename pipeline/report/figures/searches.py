@@ -147,15 +147,15 @@ def _draw_family(
 
     told = one.data[[*titles, "number"]].rename(columns=titles)
     sketch.pieces.append(told.assign(line=one.line.label, family=one.family))
-    rows, command = source.solving(one.line, one.data)
     sketch.mark(
         axes,
-        rows,
+        one.data,
         one.name,
-        command=command,
+        command=one.line.command,
         tips=titles,
         x="number",
         y="gap",
+        along=source.along,
         free=True,
     )
 
