@@ -330,7 +330,8 @@ def test_gaits_of_two_steps_are_followed_over_the_push_off(tmp_path):
         ),
         (
             {"slope": [-0.01, 0.01]},
-            "got -0.01: on level ground and uphill give no slopes above 0 beside these",
+            "Slopes must be all <= 0 where gaits are followed over `push_off`, or all > 0; "
+            "got -0.01 and 0.01 (s.toml, axes.slope).",
         ),
         ({"kind": "design"}, "in studies of kind `design`; got 0"),
         (
@@ -340,6 +341,11 @@ def test_gaits_of_two_steps_are_followed_over_the_push_off(tmp_path):
         (
             {"want": {"figures": ["angles"]}},
             "`angles` is of gaits over slopes, and these are followed over `push_off`",
+        ),
+        (
+            {"push_off": {"from": 0.1, "to": 0.2, "n": 5, "adaptive": 1e-3}},
+            "leave out either `n` or `adaptive`; got n = 5 and adaptive = 0.001 "
+            "(s.toml, axes.push_off.n).",
         ),
         (
             {"kind": "orbit", "push_off": {"from": 0.1, "to": 0.2, "adaptive": 1e-3}},
@@ -362,6 +368,37 @@ def test_wrong_studies_over_a_drive_are_refused_in_a_line(changes, said, tmp_pat
     with pytest.raises(StudyError, match=re.escape(said)) as raised:
         parse(table, "", tmp_path / "s.toml")
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("slopes", [[0.0], [0.01]])
+@pytest.mark.parametrize(
+    ("axes", "named"),
+    [
+        (
+            {},
+            "Gaits are followed over `hip_torque` where the swing leg has an inertia ",
+        ),
+        ({"m_s": [0.0, 0.1]}, "about the hip; that of `walker` is 0 (s.toml, "),
+    ],
+)
+def test_a_torque_is_followed_between_legs_with_mass_only(
+    slopes, axes, named, tmp_path
+):
+    """Whatever else drives them; at a corner of the axes is enough."""
+    table = study("branch", {"base": "D", "push_off": 0.1}, slopes)
+    del table["axes"]["push_off"]
+    table["axes"] |= {"hip_torque": [0.001, 0.05], **axes}
+    with pytest.raises(StudyError, match=re.escape(named)):
+        parse(table, "", tmp_path / "s.toml")
+    assert parse(table | {"walker": "B"}, "", tmp_path / "s.toml").drive
+
+
+def test_of_two_that_drive_the_one_with_a_range_is_followed(tmp_path):
+    table = study("branch", "B", push_off=[0.1])
+    table["axes"]["hip_torque"] = [0.001, 0.01]
+    assert parse(table, "", tmp_path / "s.toml").along == "hip_torque"
+    table["axes"]["push_off"] = [0.1, 0.2]
+    assert parse(table, "", tmp_path / "s.toml").along == "push_off"
 
 
 def test_a_study_says_along_what_its_gaits_are_followed(tmp_path):
