@@ -82,12 +82,15 @@ def branch(
     """
     problem, unit = followed_over(params, int(params.get("steps", 1)))
     window = np.array([params["slope_from"], params["slope_to"]], float)
-    low, high = (window / unit).tolist()
+    reach = problem.drive.window(problem.walker)
+    # Beyond its reach branches are not followed, and go on.
+    low, high = np.clip(window / unit, *reach).tolist()
     least = int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
     parts: list[tuple[Any, ...]] = []
     special: list[_Numbered] = []
-    for number, curve in enumerate(atlases.from_arrays(inputs[0])):
+    curves = atlases.from_arrays(inputs[0]) if low < high else []
+    for number, curve in enumerate(curves):
         if tolerance:
             Z = chosen(problem, curve, low, high, tolerance)
         else:
@@ -102,13 +105,19 @@ def branch(
     if params.get("sensitivities"):
         rows = [*_derivatives(problem, special)]
         tables |= table("special_sensitivities", rows, DERIVATIVES)
-    return tables if parts else tables | _none(problem, window)
+    return tables if parts else tables | _none(problem, window, unit)
 
 
-def _none(problem: Problem, window: PerLane) -> Arrays:
-    """That there is no gait in a window."""
+def _none(problem: Problem, window: PerLane, unit: float) -> Arrays:
+    """That there is no gait in a window, of which branches may reach a part only."""
     gait = "gait" if problem.steps == 1 else f"gait of {problem.steps} steps"
-    return nothing(over(gait, window, problem.drive.key))
+    key = problem.drive.key
+    sentence = over(gait, window, key)
+    least, largest = problem.drive.window(problem.walker)
+    if not least <= window[0] / unit < window[1] / unit <= largest:
+        ends = f"from {unit * least:.6g} to {unit * largest:.6g}"
+        sentence += f" Branches are followed over `{key}` {ends}."
+    return nothing(sentence)
 
 
 def _columns(problem: Problem, Z: Coordinates, unit: float) -> tuple[Any, ...]:

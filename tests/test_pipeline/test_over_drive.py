@@ -141,6 +141,31 @@ def test_a_page_draws_branches_over_the_push_off(branches, tmp_path):
     assert figure.get_supxlabel() == "push off"
 
 
+def test_branches_say_where_they_are_followed_no_further(tmp_path):
+    """Beyond 2 mass sqrt(g leg) they go on, in any units; gaits are found there, too."""
+    size = 3 * (2 * 9.81) ** 0.5
+    walker = {"base": "D", "m_t": 1.5, "l_t": 1.0, "c_t": 0.0, "l_s": 1.0, "c_s": 1.0}
+    walker |= {"g": 9.81}
+    pushes = {"from": 1.9 * size, "to": 9 * size, "n": 9}
+    table = study("branch", walker, push_off=pushes, want={"figures": ["locus"]})
+    archive = run(tmp_path, table)
+    points = table_of(archive, "special_points")
+    edges = points[points["kind"] == "window"]
+    by_branch = edges.groupby("branch")["push_off"]
+    assert by_branch.min().to_numpy() == pytest.approx([1.9 * size] * 2)
+    assert by_branch.max().to_numpy() == pytest.approx([2 * size] * 2, rel=1e-14)
+    assert table_of(archive, "branches")["push_off"].max() <= 2 * size * (1 + 1e-14)
+    gaitsweep.report(archive, tmp_path)
+    said = f"Beyond push off {2 * size:.4g} branches go on, and are not followed."
+    assert said in (tmp_path / "branch.html").read_text()
+
+    table["axes"]["push_off"] = [3 * size, 4 * size]
+    assert table_of(run(tmp_path, table), "branches").empty
+    with xr.open_dataset(archive) as whole:
+        (said,) = whole["reason_text"].values.astype(str)
+    assert f"Branches are followed over `push_off` from {1e-12 * size:.6g}" in said
+
+
 def commands_of(page):
     """The commands of the marks and maps of a page, as its script completes them."""
     for text in re.findall(r'class="marks">(.*?)</script>', page, re.S):
@@ -378,7 +403,7 @@ def test_wrong_studies_over_a_drive_are_refused_in_a_line(changes, said, tmp_pat
             {},
             "Gaits are followed over `hip_torque` where the swing leg has an inertia ",
         ),
-        ({"m_s": [0.0, 0.1]}, "about the hip; that of `walker` is 0 (s.toml, "),
+        ({"m_s": [0.0, 0.1]}, "about the hip; that of `walker` is 0 (s.toml, axes"),
     ],
 )
 def test_a_torque_is_followed_between_legs_with_mass_only(
@@ -390,6 +415,7 @@ def test_a_torque_is_followed_between_legs_with_mass_only(
     table["axes"] |= {"hip_torque": [0.001, 0.05], **axes}
     with pytest.raises(StudyError, match=re.escape(named)):
         parse(table, "", tmp_path / "s.toml")
+    table["axes"].pop("m_s", None)
     assert parse(table | {"walker": "B"}, "", tmp_path / "s.toml").drive
 
 
