@@ -528,6 +528,11 @@ class Source:
         named = {"walker": at["walker"]} if is_named else {}
         return axis_values({**named, **varying})
 
+    def label_among_lines(self, at: Mapping[str, Any]) -> str:
+        """A line of the grid as `lines` labels it; empty where it is the only one."""
+        across = [self.grid.sizes[d] for d in self.axes if d != self.along]
+        return self._label(at) if math.prod(across) > 1 else ""
+
     def table(self, name: str, *columns: str) -> pd.DataFrame | None:
         """A table of the archive that has rows and the columns that a figure needs;
         None if there is none.

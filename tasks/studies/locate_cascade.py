@@ -47,7 +47,7 @@ from gaitsweep.tasks.walkers.resolve import walker_of_line
 #: Orbits that locate the loss of walking, their relative distance from the last gait
 #: (chaos separates them), and how far beyond the accumulation they search, relative to
 #: its distance from the first flip.
-_ORBITS, _SPREAD, _MAX_EXTENT = 32, 1e-9, 3.0
+_ORBITS, _SPREAD, _MAX_EXTENT = 640, 1e-9, 3.0
 #: First step along a branch over the window, and the longest interval to the next flip,
 #: in ln slope, that is expected: the first intervals of a cascade need not follow
 #: Feigenbaum's law.
@@ -551,7 +551,8 @@ def _first_event(
         if event is not None:
             return event, ""
         if not low - _MARGIN <= after.at.q[0] <= high + _MARGIN:
-            left = _in_words(problem, slope, " of")
+            edge = float(np.exp(np.clip(after.at.q[0], low, high)))
+            left = _in_words(problem, edge, " of")
             return None, f"the branch leaves the window at a {left}"
     left = _in_words(problem, slope, " of")
     return None, f"the branch could not be continued beyond a {left}"

@@ -212,6 +212,17 @@ def test_commands_of_pages_run_where_the_walker_itself_has_what_drives(
         capsys.readouterr()
 
 
+def test_a_figure_of_a_cascade_names_the_only_line_with_flips(tmp_path):
+    options = {"periods": 8, "steps": 0}
+    table = study("cascade", slope=[0.0, -0.02], push_off=[0.05, 0.162])
+    table |= {"options": options, "want": {"figures": ["cascade"]}}
+    archive = run(tmp_path, table)
+    (slope,) = table_of(archive, "cascade")["slope"].unique()
+    assert slope == 0
+    gaitsweep.report(archive, tmp_path)
+    assert '"label":"γ = 0, period 1"' in (tmp_path / "cascade.html").read_text()
+
+
 def test_a_cascade_over_the_push_off_follows_feigenbaum(tmp_path, branches):
     options = {"periods": 32, "steps": 0}
     archive = run(tmp_path, study("cascade", push_off=[0.05, 0.3], options=options))
@@ -264,6 +275,7 @@ def test_pages_of_orbits_over_the_push_off_name_it(orbits, tmp_path):
     page = (tmp_path / "orbit.html").read_text()
     assert "stance angles against push off from 0.13 to 0.15" in page
     assert '"along":"push_off"' in page
+    assert "steps of initial conditions that fall" not in page
 
 
 def test_archives_over_other_push_offs_are_compared_at_those_they_share(
@@ -286,6 +298,7 @@ def test_an_orbit_of_a_walker_with_a_drive_is_on_any_slope(tmp_path):
     archive = run(tmp_path, table)
     with xr.open_dataset(archive, group="orbits") as found:
         angles = found["stance_angle"].load()
+    assert table_of(archive, "lyapunov")["slope"].is_monotonic_increasing
     for slope in (-0.001, 0.0, 0.001):
         single = solve("D", slope, push_off=0.1).set_index("gait").loc["long"]
         stored = angles.sel(slope=slope).values.ravel()

@@ -176,6 +176,8 @@ def lyapunov(source: Source, table: pd.DataFrame) -> Sketch | None:
     return sketch.finish(
         chaos=_chaos(source, lines, names),
         errors=_ERRORS,
+        falls="lifetime" in shown,
+        and_falls=", and steps before a fall" if "lifetime" in shown else "",
         abscissa=source.along,
         **source.words_along,
     )

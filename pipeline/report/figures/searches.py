@@ -129,7 +129,9 @@ def _families(source: Source, table: pd.DataFrame) -> Iterator[_Family]:
                 gap=np.abs(np.diff(values)),
             )
             data["next flip"] = values[1:]
-            name = ", ".join(filter(None, (line.label, f"period {family}")))
+            # Lines without flips have no rows: this may be the only one of several.
+            label = line.label or source.label_among_lines(line.at)
+            name = ", ".join(filter(None, (label, f"period {family}")))
             yield _Family(line, str(family), name, data)
 
 
