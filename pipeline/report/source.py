@@ -440,6 +440,14 @@ class Source:
                 "--set",
                 f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}",
             ]
+        return shlex.join([*words, *self._words_of_all])
+
+    @property
+    def _words_of_all(self) -> list[str]:
+        """Words of the commands of all lines alike: toward which walker these lead, keys
+        by which they are tuned, and steps.
+        """
+        words: list[str] = []
         if self.toward:
             words += [
                 "--set",
@@ -451,7 +459,7 @@ class Source:
             for word in ("--tuned", str(key))
         ]
         words += ["--steps", str(self.steps)] if self.steps > 1 else []
-        return shlex.join(words)
+        return words
 
     def called(self, at: Mapping[str, Any]) -> str:
         """The named walker that a line is: its own where nothing is changed, or that

@@ -181,6 +181,12 @@ def _of_table(source: Source, name: str) -> list[dict[str, Any]]:
     ]
 
 
+def _asks_for(command: str, slope: str) -> bool:
+    """Whether a command is of a slope, which of those along what drives is not last."""
+    words = shlex.split(command)
+    return float(words[words.index("--slope") + 1]) == float(slope)
+
+
 def wrong(said: dict[str, Any], gaits: pd.DataFrame) -> str:
     """Why what a click says is not one gait of the archive; empty if it is."""
     if said["said"] == STILL and "end: steps vanish" in said["values"]:
@@ -194,9 +200,7 @@ def wrong(said: dict[str, Any], gaits: pd.DataFrame) -> str:
     if said["tip"] != said["command"]:
         return f"tip {said['tip']!r}, panel {said['command']!r}"
     address = {k: v if k == "walker" else float(v) for k, v in said["address"].items()}
-    # Of those along what drives the slope is not the last word.
-    asked = shlex.split(said["command"])
-    if float(asked[asked.index("--slope") + 1]) != float(said["address"]["slope"]):
+    if not _asks_for(said["command"], said["address"]["slope"]):
         return f"address {said['address']}, panel {said['command']!r}"
     own = gaits
     for key, value in address.items():
@@ -218,7 +222,7 @@ def wrong(said: dict[str, Any], gaits: pd.DataFrame) -> str:
         number = float(said["facts"][words].replace("−", "-"))
         stored = own[name].astype(float).to_numpy() if name in own else np.array([])
         stored = stored[np.isfinite(stored)]
-        if len(stored) and np.abs(stored - number).min() > 1e-5 * abs(number):
+        if len(stored) and not np.isclose(stored, number, rtol=1e-5, atol=0).any():
             return f"{words} {number}, archive {stored}"
     return ""
 

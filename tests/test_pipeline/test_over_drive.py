@@ -141,13 +141,15 @@ def test_a_page_draws_branches_over_the_push_off(branches, tmp_path):
     assert figure.get_supxlabel() == "push off"
 
 
+#: A walker of 3 kg with legs of 2 m, and its unit of impulses.
+LARGE = {"base": "D", "m_t": 1.5, "l_t": 1.0, "l_s": 1.0, "c_s": 1.0, "g": 9.81}
+SIZE = 3 * (2 * 9.81) ** 0.5
+
+
 def test_branches_say_where_they_are_followed_no_further(tmp_path):
     """Beyond 2 mass sqrt(g leg) they go on, in any units; gaits are found there, too."""
-    size = 3 * (2 * 9.81) ** 0.5
-    walker = {"base": "D", "m_t": 1.5, "l_t": 1.0, "c_t": 0.0, "l_s": 1.0, "c_s": 1.0}
-    walker |= {"g": 9.81}
-    pushes = {"from": 1.9 * size, "to": 9 * size, "n": 9}
-    table = study("branch", walker, push_off=pushes, want={"figures": ["locus"]})
+    pushes, size = {"from": 1.9 * SIZE, "to": 9 * SIZE, "n": 9}, SIZE
+    table = study("branch", LARGE, push_off=pushes, want={"figures": ["locus"]})
     archive = run(tmp_path, table)
     points = table_of(archive, "special_points")
     edges = points[points["kind"] == "window"]
@@ -159,11 +161,14 @@ def test_branches_say_where_they_are_followed_no_further(tmp_path):
     said = f"Beyond push off {2 * size:.4g} branches go on, and are not followed."
     assert said in (tmp_path / "branch.html").read_text()
 
-    table["axes"]["push_off"] = [3 * size, 4 * size]
-    assert table_of(run(tmp_path, table), "branches").empty
+
+def test_branches_beyond_their_reach_say_how_far_they_are_followed(tmp_path):
+    table = study("branch", LARGE, push_off=[3 * SIZE, 4 * SIZE])
+    archive = run(tmp_path, table)
+    assert table_of(archive, "branches").empty
     with xr.open_dataset(archive) as whole:
         (said,) = whole["reason_text"].values.astype(str)
-    assert f"Branches are followed over `push_off` from {1e-12 * size:.6g}" in said
+    assert f"Branches are followed over `push_off` from {1e-12 * SIZE:.6g}" in said
 
 
 def commands_of(page):
