@@ -99,7 +99,7 @@ class PointWriter:
             only = ((sentence, chunk.points, 0) for sentence in sentences.values())
             for reason, points, first in only if is_one else self._failures(key):
                 line, k = divmod(first, chunk.per_line)
-                value = float(self.study.slope[chunk.slopes][k])
+                value = float(self.study.values_along[chunk.slopes][k])
                 described = line_description(self.study, int(chunk.numbers[line]))
                 example = f"{described} {self.study.along}={value!r}"
                 self.written.add_failure(reason, points, example)

@@ -222,7 +222,7 @@ class _Arrays:
 
     def write(self) -> None:
         """Write coordinates, then all other columns."""
-        along, values = self.plan.study.along, self.plan.study.slope
+        along, values = self.plan.study.along, self.plan.study.values_along
         self.netcdf_group.createDimension(along, len(values))
         self._variable(along, (along,), values, self._described(along))
         for name in _LAYOUTS[self.group]:

@@ -96,7 +96,7 @@ class Graph:
         )
         # All lines are cut at the same slopes.
         self._slopes_digest = functools.cache(
-            lambda *ends: digest(study.slope[slice(*ends)].tobytes())
+            lambda *ends: digest(study.values_along[slice(*ends)].tobytes())
         )
 
     @property
@@ -276,7 +276,7 @@ class Graph:
     def _chunk_params(self, node: Node, chunk: Chunk) -> dict[str, Any]:
         study, method = self.study, self.method
         shared = {
-            "slope": study.slope[chunk.slopes],
+            "slope": study.values_along[chunk.slopes],
             "want": self.variables,
             "gaits": study.gaits,
         }

@@ -136,9 +136,9 @@ def line_params(
         return {"line": line, "slope": slopes, "gaits": GAITS}
     along = {"along": study.drive} if study.drive else {}
     if name == "branch":
-        window = {**_window(study), "n": len(study.slope)}
+        window = {**_window(study), "n": len(study.values_along)}
         return {"line": line, **along, **window, **study.options}
-    params = {"line": line, **along, "slope": study.slope, "gaits": study.gaits}
+    params = {"line": line, **along, "slope": study.values_along, "gaits": study.gaits}
     if name != "trace":  # `steps` may be those of orbits
         params |= study.options
     if name == "design" and study.plane:
@@ -157,7 +157,7 @@ def _atlas_params(
         "line": line if "drive" in study.features else _without_g(line),
         "coarse": method.is_coarse,
     }
-    if (study.slope <= 0).all():
+    if (study.values_along <= 0).all():
         # What drives walkers there, branches over slope do not tell.
         params["level"] = True
     if study.steps > 1:
@@ -172,7 +172,7 @@ def _charts_params(
     assert study.plane
     varied = study.plane.region["keys"]
     fixed = {key: value for key, value in line["set"].items() if key not in varied}
-    window = {**_window(study), "slopes": about(len(study.slope))}
+    window = {**_window(study), "slopes": about(len(study.values_along))}
     of_plane = {**line, "set": fixed}
     if not study.accuracy:
         region = box or study.plane.region
@@ -191,8 +191,8 @@ def _without_g(line: Mapping[str, Any]) -> dict[str, Any]:
 
 def _window(study: Study) -> dict[str, float]:
     return {
-        "slope_from": float(study.slope.min()),
-        "slope_to": float(study.slope.max()),
+        "slope_from": float(study.values_along.min()),
+        "slope_to": float(study.values_along.max()),
     }
 
 

@@ -51,7 +51,7 @@ class _Lines:
 
     def __init__(self, plan: Plan, names: list[str]):
         self.plan, self.names, self.graph = plan, names, plan.graph
-        self.step = math.ceil(len(plan.study.slope) / _MAX_SLOPES)
+        self.step = math.ceil(len(plan.study.values_along) / _MAX_SLOPES)
         self.others = [
             k for k, gait in enumerate(GAITS) if gait not in plan.study.gaits
         ]
@@ -73,7 +73,7 @@ class _Lines:
         values = joined(parts, (len(GAITS), grid.multipliers)).values
         for name in self.names:
             values[name][:, self.others] = VARIABLES[name].absent
-        return {"slope": self.plan.study.slope[:: self.step], **values}
+        return {"slope": self.plan.study.values_along[:: self.step], **values}
 
     def _read(self, number: int) -> Points:
         chunk, store = self.graph.grid.chunk(number), self.plan.store

@@ -41,7 +41,7 @@ def seconds_over_plane(study: Study) -> tuple[float, float]:
 
     def seconds(method: Method, *tasks: str) -> float:
         of_line = sum(costs.seconds(study, name, method) for name in tasks)
-        of_points = len(study.slope) * costs.of_point(study, method)
+        of_points = len(study.values_along) * costs.of_point(study, method)
         return study.lines * (of_line + of_points)
 
     return seconds(Method.PLANE, "charts", "atlas"), seconds(_by_lines(study), "atlas")
@@ -51,6 +51,6 @@ def _by_lines(study: Study, in_memory: bool = False) -> Method:
     """Method of a study whose lines are computed without charts."""
     if is_interpolated(study):
         return Method.INTERPOLATED
-    if len(study.slope) > SHORT_LINE or not TASKS["atlas"].side_by_side:
+    if len(study.values_along) > SHORT_LINE or not TASKS["atlas"].side_by_side:
         return Method.LONG
     return Method.ALONE if in_memory else Method.SHORT

@@ -72,7 +72,10 @@ def integrated(study: Study, points: int, method: Method) -> int:
     """
     if method is not Method.INTERPOLATED:
         return points
-    panels = math.ceil(float(np.log(study.slope.max() / study.slope.min()))) + 1
+    panels = (
+        math.ceil(float(np.log(study.values_along.max() / study.values_along.min())))
+        + 1
+    )
     return min(points, study.lines * panels * (2 * nodes_for(study.accuracy) + 1))
 
 
@@ -95,7 +98,7 @@ def _of_line_alone(study: Study) -> float:
     points.
     """
     of_atlas = _total(study, COSTS["atlas side by side"])
-    return FEW * (of_atlas + len(study.slope) * of_point(study, Method.SHORT))
+    return FEW * (of_atlas + len(study.values_along) * of_point(study, Method.SHORT))
 
 
 def _total(study: Study, costs: Iterable[Cost], name: str = "") -> float:
@@ -110,7 +113,7 @@ def _total(study: Study, costs: Iterable[Cost], name: str = "") -> float:
     options = registry.options(kind, given) if kind in OPTIONS else {}
     sizes: dict[str, Any] = {
         **options,
-        "slopes": len(study.slope),
+        "slopes": len(study.values_along),
         "points": 1,
         "gait_steps": study.steps,
         "searches": _searches(study.steps),

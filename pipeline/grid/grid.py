@@ -220,7 +220,7 @@ class Grid:
         """Size of a chunk along each dimension: many lines at all slopes, or a part of
         one.
         """
-        slopes = len(self.study.slope)
+        slopes = len(self.study.values_along)
         along = self.study.along
         each = dict.fromkeys(self.line_dims, 1)
         if self.method is Method.PLANE and self.study.plane:
@@ -242,7 +242,7 @@ class Grid:
         seconds = min(_SECONDS, self.study.limits.seconds / _MAX_SHARE)
         in_time = int(seconds / costs.of_point(self.study, self.method))
         most = MOST_POINTS
-        if not self.study.slope.min() > _TINY:
+        if not self.study.values_along.min() > _TINY:
             most = _MOST_TINY
         return min(most, max(_FEWEST, in_time))
 

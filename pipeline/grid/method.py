@@ -58,7 +58,7 @@ def is_interpolated(study: Study) -> bool:
     """
     if "drive" in study.features:
         return False
-    if len(study.slope) <= SHORT_LINE:
+    if len(study.values_along) <= SHORT_LINE:
         return False
     return accuracy.is_interpolated(variables(study), study.accuracy)
 

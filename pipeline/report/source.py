@@ -401,18 +401,17 @@ class Source:
             "unit": f" {unit}" if unit else "",
         }
 
-    def solving(self, line: Line, rows: pd.DataFrame) -> tuple[pd.DataFrame, str]:
-        """Rows of a line and the command that solves them, without the slope; rows whose
-        walkers differ have each its own, and there is none for all.
-        """
-        if self.along == "slope":
-            return rows, line.command
-        slope = f"--slope {float(line.at['slope'])!r}"
-        sets = [f"--set {self.along}={value!r}" for value in rows[self.along].tolist()]
-        return rows.assign(command=[f"{line.command} {s} {slope}" for s in sets]), ""
-
     def command(self, at: Mapping[str, Any]) -> str:
-        """The `gaitsweep solve` command of a line, without the slope."""
+        """The `gaitsweep solve` command of a line, without the slope; that of one along
+        what drives has its slope, and lacks the value of this, with which it ends.
+        """
+        command = self._command(at)
+        if self.along in ("slope", *at) or "slope" not in at:
+            return command
+        return f"{command} --slope {float(at['slope'])!r} --set {self.along}="
+
+    def _command(self, at: Mapping[str, Any]) -> str:
+        """The command of a walker, without the slope and what drives at it."""
         walker, overrides = (
             at["walker"],
             {key: value for key, value in at.items() if key not in ("walker", "slope")},
@@ -423,7 +422,7 @@ class Source:
         elif isinstance(table, dict):
             # Only numbers can be set on the command line; otherwise the study's file
             # serves as the walker's file.
-            own = {k: v for k, v in table.items() if k != "base"}
+            own = {k: v for k, v in table.items() if k not in ("base", self.along)}
             # Of a walker on its way to another the table's keys are those at one end.
             settable = (
                 "base" in table
@@ -441,6 +440,14 @@ class Source:
                 "--set",
                 f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}",
             ]
+        return shlex.join([*words, *self._words_of_all])
+
+    @property
+    def _words_of_all(self) -> list[str]:
+        """Words of the commands of all lines alike: toward which walker these lead, keys
+        by which they are tuned, and steps.
+        """
+        words: list[str] = []
         if self.toward:
             words += [
                 "--set",
@@ -452,7 +459,7 @@ class Source:
             for word in ("--tuned", str(key))
         ]
         words += ["--steps", str(self.steps)] if self.steps > 1 else []
-        return shlex.join(words)
+        return words
 
     def called(self, at: Mapping[str, Any]) -> str:
         """The named walker that a line is: its own where nothing is changed, or that
@@ -528,6 +535,11 @@ class Source:
         is_named = self.grid.sizes.get("walker", 1) > 1 or not varying
         named = {"walker": at["walker"]} if is_named else {}
         return axis_values({**named, **varying})
+
+    def label_among_lines(self, at: Mapping[str, Any]) -> str:
+        """A line of the grid as `lines` labels it; empty where it is the only one."""
+        across = [self.grid.sizes[d] for d in self.axes if d != self.along]
+        return self._label(at) if math.prod(across) > 1 else ""
 
     def table(self, name: str, *columns: str) -> pd.DataFrame | None:
         """A table of the archive that has rows and the columns that a figure needs;

@@ -106,6 +106,11 @@ def _check_slopes(values: np.ndarray, location: Location) -> None:
 
 def _adaptive(axis: dict[str, Any], location: Location) -> tuple[float, dict[str, Any]]:
     """Tolerance of an adaptive axis, and its window as an axis of two values."""
+    if "n" in axis:
+        raise location.at("n").error(
+            "`adaptive` chooses as many points as its tolerance needs: leave out either "
+            f"`n` or `adaptive`; got n = {axis['n']!r} and adaptive = {axis['adaptive']!r}"
+        )
     location.check_names(axis, ("from", "to", "adaptive"), "key")
     tolerance = value_of(RANGE, "adaptive", axis, location)
     window = {key: value for key, value in axis.items() if key != "adaptive"}

@@ -59,6 +59,7 @@ def _together(
         **check,
         "features": tuple(features),
         "driven": known["driven"] or driven,
+        "massless_leg": known["massless_leg"] or check["massless_leg"],
         "keys": max(known["keys"], check["keys"]),
     }
 
@@ -72,7 +73,7 @@ def _checked(
     line = {"walker": walker, "set": keys}
     name = "check_target" if study.at else "check_walker"
     check: dict[str, Any] = dispatch.call(
-        name, {**line, **study.at, "values": study.slope}
+        name, {**line, **study.at, "values": study.values_along}
     )
     return check
 

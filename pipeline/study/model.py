@@ -188,6 +188,8 @@ class Study:
             return ""
         is_window = self.kind in WINDOWED
         is_fixed = (axes["slope"] <= 0).all() or (is_window and len(axes["slope"]) == 1)
+        # Of two the first that has a range.
+        found.sort(key=lambda name: len(np.unique(axes[name])) == 1)
         return found[0] if is_fixed else ""
 
     @property
@@ -196,7 +198,7 @@ class Study:
         return any(check["driven"] for check in self.checks)
 
     @property
-    def slope(self) -> np.ndarray:
+    def values_along(self) -> np.ndarray:
         """Values of the axis along which the points of a line lie, shape (n,): slopes
         [rad], or values of what else drives or of a measure.
         """
@@ -231,7 +233,7 @@ class Study:
     @property
     def points(self) -> int:
         """Number of grid points."""
-        return self.lines * len(self.slope)
+        return self.lines * len(self.values_along)
 
     def line(self, number: int) -> dict[str, Any]:
         """Walker and parameters of a line, numbered in C order of `line_shape`."""

@@ -146,7 +146,7 @@ def _optima_are_of_something(study: Study, top: Location) -> Iterator[StudyError
                 f"`{key}` is free, and an axis sets it too"
             )
     (objective,) = objectives
-    if objective in axes or (objective == "slope" and len(study.slope) == 1):
+    if objective in axes or (objective == "slope" and len(study.values_along) == 1):
         yield place.error(f"`{objective}` is what is best, and its axis fixes it")
 
 
@@ -221,8 +221,15 @@ def _level_ground_has_its_kinds(study: Study, top: Location) -> Iterator[StudyEr
         instead = (
             "give an axis `push_off` or `hip_torque`, over which they are followed"
         )
-        if any(axis.name in registry.DRIVES for axis in study.axes):
-            instead = "give no slopes above 0 beside these"
+        drives = [a.name for a in study.axes if a.name in registry.DRIVES]
+        if drives:
+            # Beside slopes above 0, or all would be along what drives.
+            highest = float(study.values_along.max())
+            yield top.at("axes", "slope").error(
+                f"Slopes must be all <= 0 where gaits are followed over "
+                f"`{drives[0]}`, or all > 0; got {level[0]:g} and {highest:g}"
+            )
+            return
     yield top.at("axes", "slope").error(
         f"{wrong}; got {level[0]:g}: on level ground and uphill {instead}"
     )
@@ -238,6 +245,16 @@ def _level_ground_needs_a_drive(study: Study, top: Location) -> Iterator[StudyEr
         )
 
 
+def _what_is_turned_has_inertia(study: Study, top: Location) -> Iterator[StudyError]:
+    """A torque between the thighs turns a swing leg that has an inertia about the hip."""
+    for name, check in zip(study.names, study.checks, strict=True):
+        if study.drive == "hip_torque" and check["massless_leg"]:
+            yield top.at("axes", "hip_torque").error(
+                f"Gaits are followed over `hip_torque` where the swing leg has an "
+                f"inertia about the hip; that of `{name}` is 0"
+            )
+
+
 def _level(study: Study) -> list[float]:
     """Slopes of 0 and below that a study asks for."""
     axes = [axis.values for axis in study.axes if axis.name == "slope"]
@@ -246,7 +263,7 @@ def _level(study: Study) -> list[float]:
 
 def _what_drives_has_a_logarithm(study: Study, top: Location) -> Iterator[StudyError]:
     """Gaits are followed over the logarithm of what drives."""
-    least = float(study.slope.min())
+    least = float(study.values_along.min())
     if study.drive and least <= 0:
         yield top.at("axes", study.drive).wrong(
             "must be > 0 where gaits are followed over it", least
@@ -269,7 +286,7 @@ def _what_is_over_slopes_has_slopes(
 
 def _a_window_has_two_ends(study: Study, top: Location) -> Iterator[StudyError]:
     """Slopes that are a window are two at least, and so are values of what drives."""
-    values = study.slope
+    values = study.values_along
     is_window = study.kind in registry.WINDOWED and "plane" not in study.options
     if is_window and values.min() == values.max():
         what = f"values of `{study.drive}`" if study.drive else "slopes"
@@ -371,4 +388,7 @@ RULES: tuple[Rule, ...] = (
     _slopes_are_differentiated_over_slopes,
     _targets_are_of_gaits_of_a_grid,
 )
-RULES_OF_WALKERS: tuple[Rule, ...] = (_level_ground_needs_a_drive,)
+RULES_OF_WALKERS: tuple[Rule, ...] = (
+    _level_ground_needs_a_drive,
+    _what_is_turned_has_inertia,
+)

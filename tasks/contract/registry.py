@@ -81,7 +81,7 @@ TASKS = {
         Task(
             "branch",
             "gaitsweep.tasks.studies.follow_branches:branch",
-            23,
+            24,
             needs=("atlas",),
         ),
         Task(
@@ -93,7 +93,7 @@ TASKS = {
         Task(
             "cascade",
             "gaitsweep.tasks.studies.locate_cascade:cascade",
-            21,
+            22,
             needs=("atlas",),
         ),
         Task("basin", "gaitsweep.tasks.studies.map_basin:basin", 13, needs=("atlas",)),
@@ -116,25 +116,25 @@ TASKS = {
         Task(
             "landmarks",
             "gaitsweep.tasks.ledger.locate_landmarks:landmarks",
-            9,
+            10,
             needs=("atlas",),
         ),
         Task(
             "corners",
             "gaitsweep.tasks.ledger.locate_landmarks:corners",
-            6,
+            7,
             needs=("atlas",),
         ),
         Task(
             "crises",
             "gaitsweep.tasks.ledger.locate_landmarks:crises",
-            8,
+            9,
             needs=("atlas", "cascade", "corners"),
         ),
         Task(
             "claims",
             "gaitsweep.tasks.ledger.check_claims:claims",
-            25,
+            26,
             needs=("points", "atlas"),
         ),
     )

@@ -6,7 +6,10 @@ touches the boundary of its basin (C. Grebogi, E. Ott, J. A. Yorke, Physica D 7 
 181-200). That slope solves no equation here; it is bracketed by simulation, from many
 initial states at many slopes side by side. Orbits that leave at once did not begin in
 the basin and are ignored; of the others all persist at the bracket's lower slope, and
-some do not at its upper slope.
+some do not at its upper slope. Just beyond the crisis few of them are lost within any
+number of steps (C. Grebogi, E. Ott, F. Romeiras, J. A. Yorke, Phys. Rev. A 36 (1987)
+5365-5380): the bracket that a few orbits give is kept where many more persist at its
+lower slope, and else begun anew with all of these.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ from gaitsweep.tasks.step.simulate import STRUCK
 _SETTLED = 1e-8
 #: Steps within which an orbit may leave without its slope being rejected.
 _TRANSIENT = 60
+#: Orbits by which a loss is bracketed at first.
+_FEW = 32
 #: Rounds in which the bracket of a loss is divided, and by how many slopes, simulated
 #: side by side.
 _ROUNDS, _AT_ONCE = 3, 4
@@ -76,7 +81,8 @@ def lost(
     high: float,
     strides: int,
 ) -> tuple[float, float]:
-    """Bracket the slope at which an attractor is lost.
+    """Bracket the slope at which an attractor is lost: at the upper one an orbit is lost
+    within some steps, at the lower one none of all.
 
     Parameters
     ----------
@@ -93,6 +99,19 @@ def lost(
         Neighbouring slopes of the last round. NaN for `low` where the attractor does
         not persist there either, and for `high` where it is not lost.
     """
+    found = _bracketed(problem, starts[:, :_FEW], low, high, strides)
+    last = found[0]
+    if np.isnan(last):
+        return found
+    if surviving_slopes(problem, starts, np.array([last]), strides)[0]:
+        return found
+    return _bracketed(problem, starts, low, last, strides)
+
+
+def _bracketed(
+    problem: Problem, starts: ndarray, low: float, high: float, strides: int
+) -> tuple[float, float]:
+    """The bracket of a loss within some steps, with NaN as `lost` has it."""
     for number in range(_ROUNDS):
         slope = np.linspace(low, high, _AT_ONCE + 2)
         if number:

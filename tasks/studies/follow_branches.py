@@ -82,16 +82,11 @@ def branch(
     """
     problem, unit = followed_over(params, int(params.get("steps", 1)))
     window = np.array([params["slope_from"], params["slope_to"]], float)
-    low, high = (window / unit).tolist()
-    least = int(params.get("n", 2))
-    tolerance = float(params.get("adaptive", 0.0))
+    low, high = _within_reach(problem, window / unit)
     parts: list[tuple[Any, ...]] = []
     special: list[_Numbered] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
-        if tolerance:
-            Z = chosen(problem, curve, low, high, tolerance)
-        else:
-            Z = _dense(problem, curve, low, high, least)
+        Z = _sampled(problem, curve, low, high, params)
         if Z.shape[1]:
             parts.append((number, *_columns(problem, Z, unit)))
             for point in _special_within(problem, curve, low, high):
@@ -102,13 +97,38 @@ def branch(
     if params.get("sensitivities"):
         rows = [*_derivatives(problem, special)]
         tables |= table("special_sensitivities", rows, DERIVATIVES)
-    return tables if parts else tables | _none(problem, window)
+    return tables if parts else tables | _none(problem, window, unit)
 
 
-def _none(problem: Problem, window: PerLane) -> Arrays:
-    """That there is no gait in a window."""
+def _within_reach(problem: Problem, window: PerLane) -> tuple[float, float]:
+    """The part of a window in which branches are followed, beyond which they go on; of
+    no width where that is none.
+    """
+    low, high = np.clip(window, *problem.drive.window(problem.walker)).tolist()
+    return low, high
+
+
+def _sampled(
+    problem: Problem, branch: Branch, low: float, high: float, params: Mapping[str, Any]
+) -> Coordinates:
+    """Points of a branch within a window, as many as are asked for."""
+    if not low < high:
+        return branch.Z[:, :0]
+    if "adaptive" in params:
+        return chosen(problem, branch, low, high, float(params["adaptive"]))
+    return _dense(problem, branch, low, high, int(params.get("n", 2)))
+
+
+def _none(problem: Problem, window: PerLane, unit: float) -> Arrays:
+    """That there is no gait in a window, of which branches may reach a part only."""
     gait = "gait" if problem.steps == 1 else f"gait of {problem.steps} steps"
-    return nothing(over(gait, window, problem.drive.key))
+    key = problem.drive.key
+    sentence = over(gait, window, key)
+    least, largest = problem.drive.window(problem.walker)
+    if not least <= window[0] / unit < window[1] / unit <= largest:
+        ends = f"from {unit * least:.6g} to {unit * largest:.6g}"
+        sentence += f" Branches are followed over `{key}` {ends}."
+    return nothing(sentence)
 
 
 def _columns(problem: Problem, Z: Coordinates, unit: float) -> tuple[Any, ...]:

@@ -47,7 +47,7 @@ from gaitsweep.tasks.walkers.resolve import walker_of_line
 #: Orbits that locate the loss of walking, their relative distance from the last gait
 #: (chaos separates them), and how far beyond the accumulation they search, relative to
 #: its distance from the first flip.
-_ORBITS, _SPREAD, _MAX_EXTENT = 32, 1e-9, 3.0
+_ORBITS, _SPREAD, _MAX_EXTENT = 640, 1e-9, 3.0
 #: First step along a branch over the window, and the longest interval to the next flip,
 #: in ln slope, that is expected: the first intervals of a cascade need not follow
 #: Feigenbaum's law.
@@ -538,23 +538,27 @@ def _first_event(
     for number, (before, after) in enumerate(itertools.pairwise(points)):
         if number == _MAX_POINTS:
             why = f"none on {_MAX_POINTS} points of the branch, up to a"
-            return None, f"{why} {_in_words(problem, slope, ' of')}"
+            return None, _ends_at(problem, why, slope)
         slope = float(np.exp(after.at.q[0]))
 
         event, is_between = _event_between(problem, before, after, kind)
         if is_between and event is None:
             why = "the next one could not be located, near a"
-            return None, f"{why} {_in_words(problem, slope, ' of')}"
+            return None, _ends_at(problem, why, slope)
         if event is not None and not low <= event.q <= high:
             why = "the next one lies outside the window, at a"
-            return None, f"{why} {_in_words(problem, event.slope, ' of')}"
+            return None, _ends_at(problem, why, event.slope)
         if event is not None:
             return event, ""
         if not low - _MARGIN <= after.at.q[0] <= high + _MARGIN:
-            left = _in_words(problem, slope, " of")
-            return None, f"the branch leaves the window at a {left}"
-    left = _in_words(problem, slope, " of")
-    return None, f"the branch could not be continued beyond a {left}"
+            edge = float(np.exp(np.clip(after.at.q[0], low, high)))
+            return None, _ends_at(problem, "the branch leaves the window at a", edge)
+    return None, _ends_at(problem, "the branch could not be continued beyond a", slope)
+
+
+def _ends_at(problem: Problem, why: str, drive: float) -> str:
+    """Why there is no event, and where its branch ends."""
+    return f"{why} {_in_words(problem, drive, ' of')}"
 
 
 def _event_between(

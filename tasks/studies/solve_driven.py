@@ -152,7 +152,10 @@ def followed(params: Mapping[str, Any], atlas: Arrays) -> list[Followed]:
         own, drive = driven(problem.walker, slope)
         found = branches_of(own) if drive else []
         parts.append(Followed(own, found, np.array([drive]), np.array([slope])))
-    return [part for part in parts if len(part.drive)]
+    parts = [part for part in parts if len(part.drive)]
+    # Rows are in the order in which their slopes were asked for.
+    order = values.tolist()
+    return sorted(parts, key=lambda part: order.index(part.asked[0]))
 
 
 def joined(parts: Sequence[Arrays]) -> Arrays:

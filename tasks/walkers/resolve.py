@@ -580,6 +580,7 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     dict
         `si` and `kneed` (bool), `features` (what some variables are of), `driven`
         (whether more than gravity drives it, so that it may walk on level ground),
+        `massless_leg` (whether its swing leg has no inertia about the hip),
         `multipliers` (their number), `keys` (by how many of `DIFFERENTIATED` measures
         are differentiated), `table` (the walker before `set`), `parameters` (the walker
         with `set`), `varied` (for each key of the walker that `set` moves, the keys of
@@ -612,6 +613,7 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "kneed": walker.knees,
         "features": walker.features,
         "driven": walker.is_driven,
+        "massless_leg": walker.massless_leg,
         "keys": len(OF_PASSIVE if walker.is_passive else DIFFERENTIATED),
         "multipliers": 4 if walker.knees else 3,
         "table": resolve(given).table(),

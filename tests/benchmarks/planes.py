@@ -111,7 +111,11 @@ def made(table: dict[str, Any]) -> Made:
     solved_by_charts, study = solve_planes.solve, graph.study
     with mock.patch.object(solve_planes, "solve", solve):
         solve_planes.lines(
-            {**params, "lines": [study.line(k) for k in own], "slope": study.slope},
+            {
+                **params,
+                "lines": [study.line(k) for k in own],
+                "slope": study.values_along,
+            },
             [*arrays.values()],
         )
     own_boxes = [
@@ -122,5 +126,5 @@ def made(table: dict[str, Any]) -> Made:
         len(own_boxes),
         sum(len(cell.parts(box)) for box in own_boxes),
         sum(len(call.args[0].lanes) for call in survey.call_args_list),
-        len(own) * len(study.slope) - accepted,
+        len(own) * len(study.values_along) - accepted,
     )

@@ -5,6 +5,7 @@ archive holds there.
 from __future__ import annotations
 
 import json
+import shlex
 import time
 from pathlib import Path
 from typing import Any
@@ -171,14 +172,19 @@ def _of_table(source: Source, name: str) -> list[dict[str, Any]]:
     table = source.tables.get(name)
     if table is None or not {"slope", "stance_angle"} <= set(table.columns):
         return []
+    along = dict.fromkeys((source.along, "slope", "stance_angle", "period"))
     wanted = [
-        c
-        for c in (*source.line_columns(table), "slope", "stance_angle", "period")
-        if c in table
+        c for c in dict.fromkeys((*source.line_columns(table), *along)) if c in table
     ]
     return [
         {"walker": source.walker, **row} for row in table[wanted].to_dict("records")
     ]
+
+
+def _asks_for(command: str, slope: str) -> bool:
+    """Whether a command is of a slope, which of those along what drives is not last."""
+    words = shlex.split(command)
+    return float(words[words.index("--slope") + 1]) == float(slope)
 
 
 def wrong(said: dict[str, Any], gaits: pd.DataFrame) -> str:
@@ -194,7 +200,7 @@ def wrong(said: dict[str, Any], gaits: pd.DataFrame) -> str:
     if said["tip"] != said["command"]:
         return f"tip {said['tip']!r}, panel {said['command']!r}"
     address = {k: v if k == "walker" else float(v) for k, v in said["address"].items()}
-    if not said["command"].endswith(f" --slope {said['address']['slope']}"):
+    if not _asks_for(said["command"], said["address"]["slope"]):
         return f"address {said['address']}, panel {said['command']!r}"
     own = gaits
     for key, value in address.items():
@@ -216,7 +222,7 @@ def wrong(said: dict[str, Any], gaits: pd.DataFrame) -> str:
         number = float(said["facts"][words].replace("−", "-"))
         stored = own[name].astype(float).to_numpy() if name in own else np.array([])
         stored = stored[np.isfinite(stored)]
-        if len(stored) and np.abs(stored / number - 1).min() > 1e-5:
+        if len(stored) and not np.isclose(stored, number, rtol=1e-5, atol=0).any():
             return f"{words} {number}, archive {stored}"
     return ""
 

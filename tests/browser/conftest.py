@@ -33,6 +33,12 @@ STUDIES = {
     "[options]\nsize = 60\nstance_angle = [0.1, 0.35]\nstance_rate = [-0.35, -0.1]\n",
     "kneed-basin": 'kind = "basin"\nwalker = "C"\n[axes]\nslope = [0.06]\n[want]\nfigures = ["basin"]\n'
     "[options]\nsize = 40\n",
+    "driven": 'kind = "branch"\nwalker = ["C", "E"]\n[axes]\nslope = [0.0, -0.002]\n'
+    'push_off = { from = 0.02, to = 0.3, n = 30 }\n[want]\nfigures = ["locus"]\n',
+    "torque": 'kind = "branch"\n[walker]\nbase = "B"\nhip_stiffness = 0.05\nhip_torque = 0.01\n[axes]\nslope = [0.0]\n'
+    'hip_torque = { from = 1e-3, to = 0.03, n = 30 }\n[want]\nfigures = ["locus"]\n',
+    "pushed": 'kind = "orbit"\nwalker = "D"\n[axes]\nslope = [0.0]\npush_off = { from = 0.13, to = 0.15, n = 5 }\n'
+    '[want]\nfigures = ["bifurcation"]\n[options]\nstarts = 1\ntransient = 60\nsteps = 24\nshown = 8\n',
     "narrow": 'kind = "orbit"\nwalker = "D"\n[axes]\nslope = { from = 0.01815, to = 0.01816, n = 5 }\n'
     '[want]\nfigures = ["bifurcation"]\n[options]\nstarts = 1\ntransient = 60\nsteps = 24\nshown = 8\n',
     "two-steps": 'walker = "D"\n[axes]\nslope = { from = 0.0155, to = 0.0165, n = 5 }\n'

@@ -58,11 +58,29 @@ def wrong_cells(browser, archive, figure, count):
 
 
 @pytest.mark.parametrize(
-    ("name", "least"), [("branches", 60), ("ends", 100), ("curves", 200)]
+    ("name", "least"),
+    [
+        *[("branches", 60), ("ends", 100), ("curves", 200)],
+        *[("driven", 100), ("torque", 20)],
+    ],
 )
 def test_every_mark_walks_the_archived_gait(walk, walking, name, least):
     clicked, wrong = wrong_marks(walk(name, still=True), walking.parent / f"{name}.nc")
     assert clicked > least and wrong == []
+
+
+def test_dots_of_orbits_over_a_push_off_walk_on(walk):
+    """Each is a step, of the walker with the push-off of the dot."""
+    browser = walk("pushed", still=True)
+    said = clicks.click(browser, "bifurcation", clicks.places(browser, "bifurcation"))
+    assert len(said) >= 40
+    for one in said:
+        push, angle, _ = map(float, one["values"])
+        assert one["title"] == f"A motion of walker D, push_off = {push:g}"
+        assert one["ringed"] and one["tip"] == one["command"]
+        assert f"--set push_off={push:g}" in one["command"]
+        assert float(one["facts"]["stance angle θ*"]) == pytest.approx(angle, rel=1e-5)
+        assert not one["outcome"].startswith("In its first step")
 
 
 @pytest.mark.parametrize(("name", "count"), [("design", 9), ("basin", 60)])

@@ -2,7 +2,9 @@
 page.
 """
 
+import json
 import re
+import shlex
 
 import numpy as np
 import pandas as pd
@@ -139,6 +141,93 @@ def test_a_page_draws_branches_over_the_push_off(branches, tmp_path):
     assert figure.get_supxlabel() == "push off"
 
 
+#: A walker of 3 kg with legs of 2 m, and its unit of impulses.
+LARGE = {"base": "D", "m_t": 1.5, "l_t": 1.0, "l_s": 1.0, "c_s": 1.0, "g": 9.81}
+SIZE = 3 * (2 * 9.81) ** 0.5
+
+
+def test_branches_say_where_they_are_followed_no_further(tmp_path):
+    """Beyond 2 mass sqrt(g leg) they go on, in any units; gaits are found there, too."""
+    pushes, size = {"from": 1.9 * SIZE, "to": 9 * SIZE, "n": 9}, SIZE
+    table = study("branch", LARGE, push_off=pushes, want={"figures": ["locus"]})
+    archive = run(tmp_path, table)
+    points = table_of(archive, "special_points")
+    edges = points[points["kind"] == "window"]
+    by_branch = edges.groupby("branch")["push_off"]
+    assert by_branch.min().to_numpy() == pytest.approx([1.9 * size] * 2)
+    assert by_branch.max().to_numpy() == pytest.approx([2 * size] * 2, rel=1e-14)
+    assert table_of(archive, "branches")["push_off"].max() <= 2 * size * (1 + 1e-14)
+    gaitsweep.report(archive, tmp_path)
+    said = f"Beyond push off {2 * size:.4g} branches go on, and are not followed."
+    assert said in (tmp_path / "branch.html").read_text()
+
+
+def test_branches_beyond_their_reach_say_how_far_they_are_followed(tmp_path):
+    table = study("branch", LARGE, push_off=[3 * SIZE, 4 * SIZE])
+    archive = run(tmp_path, table)
+    assert table_of(archive, "branches").empty
+    with xr.open_dataset(archive) as whole:
+        (said,) = whole["reason_text"].values.astype(str)
+    assert f"Branches are followed over `push_off` from {1e-12 * SIZE:.6g}" in said
+
+
+def commands_of(page):
+    """The commands of the marks and maps of a page, as its script completes them."""
+    for text in re.findall(r'class="marks">(.*?)</script>', page, re.S):
+        for curve in json.loads(text):
+            assert curve["command"].endswith("=")
+            yield from (f"{curve['command']}{row[2]!r}" for row in curve["rows"])
+    for text in re.findall(r'class="panels">(.*?)</script>', page, re.S):
+        for panel in json.loads(text):
+            yield f"{panel['command']} --slope {panel['slope']!r}"
+
+
+SMALL = {
+    "branch": ("locus", {"from": 0.05, "to": 0.2, "n": 8}, {}),
+    "cascade": ("cascade", [0.05, 0.3], {"periods": 8, "steps": 0}),
+    "orbit": ("bifurcation", [0.13, 0.15], {"starts": 1, "transient": 20, "steps": 4}),
+    "basin": ("basin", [0.1, 0.12], {"size": 8, "steps": 10}),
+}
+
+
+@pytest.mark.parametrize("kind", SMALL)
+@pytest.mark.parametrize(
+    "is_file", [False, pytest.param(True, marks=pytest.mark.thorough)]
+)
+def test_commands_of_pages_run_where_the_walker_itself_has_what_drives(
+    kind, is_file, tmp_path, capsys, monkeypatch
+):
+    """Given on the command line, or as the study's file, which the pages offer."""
+    name, pushes, options = SMALL[kind]
+    walker = {"base": "D", "push_off": 0.1} | ({"knees": False} if is_file else {})
+    wanted = {"want": {"figures": [name]}, "options": options}
+    archive = run(tmp_path, study(kind, walker, push_off=pushes, **wanted))
+    gaitsweep.report(archive, tmp_path)
+    commands = [*commands_of((tmp_path / f"{kind}.html").read_text())]
+    assert len(commands) > 1 - (kind == "basin")
+
+    monkeypatch.chdir(tmp_path)
+    own = '[walker]\nbase = "D"\npush_off = 0.1\nknees = false\n'
+    (tmp_path / f"{kind}.toml").write_text(own)
+    for command in commands[:: max(1, len(commands) // 2)]:
+        words = shlex.split(command)
+        assert words[:2] == ["gaitsweep", "solve"]
+        assert (f"{kind}.toml" in words) == is_file
+        assert main(words[1:]) == 0, command
+        capsys.readouterr()
+
+
+def test_a_figure_of_a_cascade_names_the_only_line_with_flips(tmp_path):
+    options = {"periods": 8, "steps": 0}
+    table = study("cascade", slope=[0.0, -0.02], push_off=[0.05, 0.162])
+    table |= {"options": options, "want": {"figures": ["cascade"]}}
+    archive = run(tmp_path, table)
+    (slope,) = table_of(archive, "cascade")["slope"].unique()
+    assert slope == 0
+    gaitsweep.report(archive, tmp_path)
+    assert '"label":"γ = 0, period 1"' in (tmp_path / "cascade.html").read_text()
+
+
 def test_a_cascade_over_the_push_off_follows_feigenbaum(tmp_path, branches):
     options = {"periods": 32, "steps": 0}
     archive = run(tmp_path, study("cascade", push_off=[0.05, 0.3], options=options))
@@ -190,7 +279,8 @@ def test_pages_of_orbits_over_the_push_off_name_it(orbits, tmp_path):
     gaitsweep.report(orbits, tmp_path)
     page = (tmp_path / "orbit.html").read_text()
     assert "stance angles against push off from 0.13 to 0.15" in page
-    assert 'id="lines"' not in page
+    assert '"along":"push_off"' in page
+    assert "steps of initial conditions that fall" not in page
 
 
 def test_archives_over_other_push_offs_are_compared_at_those_they_share(
@@ -213,6 +303,7 @@ def test_an_orbit_of_a_walker_with_a_drive_is_on_any_slope(tmp_path):
     archive = run(tmp_path, table)
     with xr.open_dataset(archive, group="orbits") as found:
         angles = found["stance_angle"].load()
+    assert table_of(archive, "lyapunov")["slope"].is_monotonic_increasing
     for slope in (-0.001, 0.0, 0.001):
         single = solve("D", slope, push_off=0.1).set_index("gait").loc["long"]
         stored = angles.sel(slope=slope).values.ravel()
@@ -282,7 +373,8 @@ def test_gaits_of_two_steps_are_followed_over_the_push_off(tmp_path):
         ),
         (
             {"slope": [-0.01, 0.01]},
-            "got -0.01: on level ground and uphill give no slopes above 0 beside these",
+            "Slopes must be all <= 0 where gaits are followed over `push_off`, or all > 0; "
+            "got -0.01 and 0.01 (s.toml, axes.slope).",
         ),
         ({"kind": "design"}, "in studies of kind `design`; got 0"),
         (
@@ -292,6 +384,11 @@ def test_gaits_of_two_steps_are_followed_over_the_push_off(tmp_path):
         (
             {"want": {"figures": ["angles"]}},
             "`angles` is of gaits over slopes, and these are followed over `push_off`",
+        ),
+        (
+            {"push_off": {"from": 0.1, "to": 0.2, "n": 5, "adaptive": 1e-3}},
+            "leave out either `n` or `adaptive`; got n = 5 and adaptive = 0.001 "
+            "(s.toml, axes.push_off.n).",
         ),
         (
             {"kind": "orbit", "push_off": {"from": 0.1, "to": 0.2, "adaptive": 1e-3}},
@@ -314,6 +411,38 @@ def test_wrong_studies_over_a_drive_are_refused_in_a_line(changes, said, tmp_pat
     with pytest.raises(StudyError, match=re.escape(said)) as raised:
         parse(table, "", tmp_path / "s.toml")
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("slopes", [[0.0], [0.01]])
+@pytest.mark.parametrize(
+    ("axes", "named"),
+    [
+        (
+            {},
+            "Gaits are followed over `hip_torque` where the swing leg has an inertia ",
+        ),
+        ({"m_s": [0.0, 0.1]}, "about the hip; that of `walker` is 0 (s.toml, axes"),
+    ],
+)
+def test_a_torque_is_followed_between_legs_with_mass_only(
+    slopes, axes, named, tmp_path
+):
+    """Whatever else drives them; at a corner of the axes is enough."""
+    table = study("branch", {"base": "D", "push_off": 0.1}, slopes)
+    del table["axes"]["push_off"]
+    table["axes"] |= {"hip_torque": [0.001, 0.05], **axes}
+    with pytest.raises(StudyError, match=re.escape(named)):
+        parse(table, "", tmp_path / "s.toml")
+    table["axes"].pop("m_s", None)
+    assert parse(table | {"walker": "B"}, "", tmp_path / "s.toml").drive
+
+
+def test_of_two_that_drive_the_one_with_a_range_is_followed(tmp_path):
+    table = study("branch", "B", push_off=[0.1])
+    table["axes"]["hip_torque"] = [0.001, 0.01]
+    assert parse(table, "", tmp_path / "s.toml").along == "hip_torque"
+    table["axes"]["push_off"] = [0.1, 0.2]
+    assert parse(table, "", tmp_path / "s.toml").along == "push_off"
 
 
 def test_a_study_says_along_what_its_gaits_are_followed(tmp_path):

@@ -207,7 +207,7 @@ def test_a_law_of_gaits_that_are_not_wanted_is_refused(write):
 def test_a_good_study_is_read(write):
     found = parse.read(write(GOOD))
     assert found.points == 14 and found.lines == 2
-    np.testing.assert_allclose(found.slope[[0, -1]], [1e-4, 0.1])
+    np.testing.assert_allclose(found.values_along[[0, -1]], [1e-4, 0.1])
     assert found.line(1) == {"walker": "E", "set": {"foot_mass_ratio": 0.05}}
     assert (
         found.variables[:2] == ("period", "multiplier_real")

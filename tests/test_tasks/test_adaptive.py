@@ -126,7 +126,7 @@ def test_a_study_may_ask_for_a_tolerance(tmp_path):
         table({"from": 0.01, "to": 0.1, "adaptive": 1e-3}), "", tmp_path / "one.toml"
     )
     assert study.options["adaptive"] == 1e-3
-    assert study.slope.tolist() == [0.01, 0.1]
+    assert study.values_along.tolist() == [0.01, 0.1]
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,11 @@ def test_a_study_may_ask_for_a_tolerance(tmp_path):
             r"must lie in \[1e-6, 0.1\]; got 0",
         ),
         ({"from": 0.01, "to": 0.1, "adaptive": "fine"}, {}, "must be a number"),
-        ({"from": 0.01, "to": 0.1, "adaptive": 1e-3, "n": 9}, {}, "Unknown key `n`"),
+        (
+            {"from": 0.01, "to": 0.1, "adaptive": 1e-3, "n": 9},
+            {},
+            "either `n` or `adaptive`",
+        ),
         ({"to": 0.1, "adaptive": 1e-3}, {}, "`from` is missing"),
         ({"from": 0.2, "to": 0.1, "adaptive": 1e-3}, {}, "must be less than"),
     ],

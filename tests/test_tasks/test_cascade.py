@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gaitsweep.tasks.branches import passings
-from gaitsweep.tasks.branches.atlas import from_arrays
+from gaitsweep.tasks.branches.atlas import from_arrays, survey, to_arrays
 from gaitsweep.tasks.branches.special_points import flips as flips_of
 from gaitsweep.tasks.contract import columns
 from gaitsweep.tasks.contract.registry import OPTIONS
@@ -18,6 +18,7 @@ from gaitsweep.tasks.orbits.crisis import surviving_slopes
 from gaitsweep.tasks.orbits.initial_states import gaits_at
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.studies import locate_cascade
+from gaitsweep.tasks.studies.followed import followed_over
 from gaitsweep.tasks.studies.locate_cascade import cascade
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas
@@ -86,7 +87,7 @@ def test_a_cascade_tells_why_it_stopped():
     )
     (none,) = doublings("D", 0.0100, 0.0120, periods=8, steps=0)["accumulation/stopped"]
     assert none.startswith(
-        "No flip of period 1: the branch leaves the window at a slope of 0.01"
+        "No flip of period 1: the branch leaves the window at a slope of 0.012."
     )
 
 
@@ -313,6 +314,37 @@ def test_orbits_last_below_the_end_of_walking_and_not_above():
     assert alone.tolist()[2:] == [True, False]
 
 
+#: Orbits of a bracket, whatever they are.
+MANY = np.zeros((3, 640))
+
+
+def test_a_bracket_of_a_few_orbits_is_begun_anew_where_more_are_lost(monkeypatch):
+    def survives(problem, starts, slope, strides):
+        return slope < (0.0131 if starts.shape[1] == 640 else 0.0137)
+
+    monkeypatch.setattr(crisis, "surviving_slopes", survives)
+    low, high = crisis.lost(None, MANY, 0.01, 0.02, 50)
+    assert low < 0.0131 < high < 0.0137 and high - low < 1e-4
+
+
+@pytest.mark.thorough
+def test_brackets_of_one_loss_over_the_push_off_overlap():
+    """Studies to other periods begin their orbits elsewhere; 3000 steps of 32 of them
+    told the same to all (brackets of 200 steps were disjoint).
+    """
+    line = {"walker": "D", "set": {}, "slope": 0.0}
+    params = {"line": line, "along": "push_off", "slope": np.array([0.05, 0.3])}
+    problem, _ = followed_over(params)
+    atlas = to_arrays(survey(problem))
+    lows, highs = [], []
+    for periods in (8, 16, 32):
+        found = cascade(params | {"periods": periods, "steps": 200}, [atlas])
+        lows.append(found["lost/low"][0])
+        highs.append(found["lost/high"][0])
+    assert max(lows) < min(highs)
+    assert 0.1636 < max(lows) < min(highs) < 0.1643
+
+
 def test_the_bracket_of_a_lost_attractor_is_narrowed_where_it_is_lost(monkeypatch):
     asked = []
 
@@ -322,12 +354,12 @@ def test_the_bracket_of_a_lost_attractor_is_narrowed_where_it_is_lost(monkeypatc
 
     monkeypatch.setattr(crisis, "surviving_slopes", survives)
     monkeypatch.setattr(crisis, "_ROUNDS", 2)
-    low, high = crisis.lost(None, None, 0.01, 0.02, 50)
+    low, high = crisis.lost(None, MANY, 0.01, 0.02, 50)
     assert (low, high) == pytest.approx((0.0136, 0.014)) and low < 0.0137 < high
     assert asked[0] == pytest.approx([0.01, 0.012, 0.014, 0.016, 0.018, 0.02])
     assert asked[1] == pytest.approx([0.0124, 0.0128, 0.0132, 0.0136])
-    assert crisis.lost(None, None, 0.001, 0.002, 50)[0] == 0.002
-    assert crisis.lost(None, None, 0.014, 0.02, 50)[1] == 0.014
+    assert crisis.lost(None, MANY, 0.001, 0.002, 50)[0] == 0.002
+    assert crisis.lost(None, MANY, 0.014, 0.02, 50)[1] == 0.014
 
 
 def test_a_loss_without_a_slope_says_why(monkeypatch):

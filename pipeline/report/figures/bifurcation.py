@@ -101,14 +101,14 @@ def _draw_orbits(
     )
     name = f"{shorten(line.label)}: " if line.label else ""
     set_heading(axes, f"{name}stance angle θ* of successive steps (rad)")
-    seen, command = source.solving(line, thin(rows, 400))
     sketch.mark(
         axes,
-        seen,
+        thin(rows, 400),
         line.label or "orbit",
-        command=command,
+        command=line.command,
         tips={source.along: _title(source), **_TIPS},
         x=source.along,
+        along=source.along,
         free=True,
     )
 
@@ -176,6 +176,8 @@ def lyapunov(source: Source, table: pd.DataFrame) -> Sketch | None:
     return sketch.finish(
         chaos=_chaos(source, lines, names),
         errors=_ERRORS,
+        falls="lifetime" in shown,
+        and_falls=", and steps before a fall" if "lifetime" in shown else "",
         abscissa=source.along,
         **source.words_along,
     )
@@ -207,8 +209,8 @@ def _draw_column(
     for line, name, ink in zip(lines, names, colours, strict=True):
         seen = thin(line.rows[np.isfinite(line.rows[column])], 400)
         axes.plot(seen[along], seen[column], ".", color=ink, ms=2.5)
-        seen, command = source.solving(line, seen)
-        sketch.mark(axes, seen, name, command=command, tips=tips, x=along, y=column)
+        how = {"tips": tips, "x": along, "y": column, "along": along}
+        sketch.mark(axes, seen, name, command=line.command, **how)
         kept = [c for c in (along, column, "standard_error") if c in line.rows]
         sketch.pieces.append(line.rows[kept].assign(line=line.label))
 

@@ -57,6 +57,8 @@ class _Corner(NamedTuple):
 
 
 #: Of a figure of one panel, and of small multiples.
+#: Share of its value by which the edge of a window may differ from what is asked for.
+_EDGE = 1e-9
 _ALONE = _Corner(0.25, 1.35, (0.56, 0.055, 0.42, 0.36))
 _AMONG = _Corner(0.12, 1.15, (0.53, 0.09, 0.45, 0.44))
 
@@ -110,9 +112,25 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
         count=shown.count,
         s="s" * (shown.count > 1),
         special=sum(map(len, shown.special)),
+        reach=_reach(source),
         abscissa=source.along,
         **source.words_along,
     )
+
+
+def _reach(source: Source) -> str:
+    """The least value beyond which branches go on, but are not followed, inside of the
+    window that the study gives; empty where there is none.
+    """
+    special = source.table("special_points", "kind", source.along)
+    given = source.given("axes", source.along)
+    if special is None or not given:
+        return ""
+    ends = (given["from"], given["to"]) if isinstance(given, dict) else given
+    least, largest = min(ends), max(ends)
+    edges = special.loc[special["kind"].astype(str) == "window", source.along]
+    inside = edges[(edges > least * (1 + _EDGE)) & (edges < largest * (1 - _EDGE))]
+    return plain(inside.min()) if len(inside) else ""
 
 
 def _draw_landmarks(
@@ -220,14 +238,14 @@ def _mark_gaits(sketch: Sketch, axes: Axes, source: Source, line: Line) -> None:
     rows = thin(line.rows.dropna(subset=["stance_angle"]), 300)
     if "stable" in rows:
         rows = rows.assign(stable=yes_or_no(rows["stable"]))
-    solved, command = source.solving(line, rows)
     sketch.mark(
         axes,
-        solved,
+        rows,
         line.label or "branch",
-        command=command,
+        command=line.command,
         tips=_tips(source) | TIPS | {"stable": "stable"},
         x=source.along,
+        along=source.along,
     )
 
 
@@ -368,14 +386,14 @@ def _draw_special(
         ),
     )
     tips = {"told": "kind", **_tips(source), "slope": "γ (rad)", "angle": "θ* (rad)"}
-    solved, command = source.solving(line, gaits)
     sketch.mark(
         axes,
-        solved,
+        gaits,
         "special point",
-        command=command,
+        command=line.command,
         tips=tips,
         x=along,
+        along=along,
         y="angle",
         above=True,
     )

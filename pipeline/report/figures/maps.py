@@ -488,6 +488,7 @@ def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
     at = source.line_of(table)
     if source.along in row and source.along != "slope":
         at[source.along] = float(row[source.along])
+        at.pop("slope", None)
     if not (keys := parameters(source, at)) or "slope" not in row:
         return {}
     start = {"slope": float(row["slope"])}

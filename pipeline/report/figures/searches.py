@@ -123,7 +123,9 @@ def _families(source: Source, table: pd.DataFrame) -> Iterator[_Family]:
                 gap=np.abs(np.diff(values)),
             )
             data["next flip"] = values[1:]
-            name = ", ".join(filter(None, (line.label, f"period {family}")))
+            # Lines without flips have no rows: this may be the only one of several.
+            label = line.label or source.label_among_lines(line.at)
+            name = ", ".join(filter(None, (label, f"period {family}")))
             yield _Family(line, str(family), name, data)
 
 
@@ -141,14 +143,14 @@ def _draw_family(
 
     told = one.data[[*titles, "number"]].rename(columns=titles)
     sketch.pieces.append(told.assign(line=one.line.label, family=one.family))
-    rows, command = source.solving(one.line, one.data)
     sketch.mark(
         axes,
-        rows,
+        one.data,
         one.name,
-        command=command,
+        command=one.line.command,
         tips=titles,
         x="number",
         y="gap",
+        along=source.along,
         free=True,
     )

@@ -31,8 +31,8 @@ class Marks:
     under the pointer.
 
     They are `rows` of a frame that lie at two of its columns, and show those that
-    `tips` names. The command is `command` with the slope of the row, or the row's own
-    where there is a column `command`. Rows with a stance angle also have its rates,
+    `tips` names. The command is `command` with the row's value of what gaits are
+    followed `along`, or the row's own where there is a column `command`. Rows with a stance angle also have its rates,
     from which the page's script starts them; with `free` they are steps of no gait.
     Points that are drawn `above` others are found before those that they hide.
     """
@@ -44,6 +44,7 @@ class Marks:
     tips: Mapping[str, str] = field(default_factory=lambda: TIPS)
     x: str = "slope"
     y: str = "stance_angle"
+    along: str = "slope"
     group: int | None = None
     free: bool = False
     above: bool = False

@@ -83,15 +83,32 @@ def _address(at: Mapping[str, Any], gait: Any) -> str:
     return urlencode({**at, **near}) if np.isfinite([*near.values()]).all() else ""
 
 
-def addresses(source: Source, table: pd.DataFrame) -> list[str]:
-    """Address of the gait of each row of a table, by its line, slope and stance angle;
-    empty where there is none.
+def _address_along(source: Source, at: Mapping[str, Any], gait: Any) -> str:
+    """Address of a gait on a page along what drives at the slope of a line: of that
+    and its whole state.
     """
-    is_known = {"slope", "stance_angle"} <= set(table.columns)
-    if source.along != "slope" or not is_known:
+    state = [float(gait[name]) for name in START[1:] if name in gait]
+    named = {source.along: float(gait[source.along]), **at}
+    known = dict(zip(START[1:], rounded(state, 12), strict=False))
+    known = {name: value for name, value in known.items() if value is not None}
+    return urlencode({**named, **known}) if "stance_angle" in known else ""
+
+
+def addresses(source: Source, table: pd.DataFrame) -> list[str]:
+    """Address of the gait of each row of a table, by its line, slope, what else drives,
+    and stance angle; empty where there is none.
+    """
+    if not {source.along, "slope", "stance_angle"} <= set(table.columns):
         return [""] * len(table)
-    rows = (table.iloc[[k]] for k in range(len(table)))
-    return [_address(source.line_of(row), row.iloc[0]) for row in rows]
+    found = []
+    for k in range(len(table)):
+        row = table.iloc[[k]]
+        at, gait = source.line_of(row), row.iloc[0]
+        if source.along == "slope":
+            found.append(_address(at, gait))
+        else:
+            found.append(_address_along(source, at, gait))
+    return found
 
 
 def lines(source: Source) -> list[dict[str, Any]]:
@@ -102,12 +119,12 @@ def lines(source: Source) -> list[dict[str, Any]]:
     the walker's units, in its order through folds. Lines of tables of initial
     conditions have none: their figures hold the starts. Nor have lines of gaits of
     several steps, from which Newton's method would lead the script to those of one:
-    these fly freely. Of a study along which the walker differs there are none.
+    these fly freely. A line along what drives at its slope names that, as `along`; its
+    gaits are those of its marks.
     """
-    if source.along != "slope":
-        return []
     chosen = _chosen_lines(source)
-    if source.steps > 1:
+    along = {} if source.along == "slope" else {"along": source.along}
+    if source.steps > 1 or along:
         chosen = [(line, []) for line, _ in chosen]
     total = sum(len(branch) for _, branches in chosen for branch in branches)
     colours = _inks(source, [line for line, _ in chosen])
@@ -126,6 +143,7 @@ def lines(source: Source) -> list[dict[str, Any]]:
                     "called": line.called,
                     "first": _first(line.at, branches),
                     "branches": [own for own in nodes if own],
+                    **along,
                 }
             )
     return [*found, *_optimal_lines(source)]

@@ -202,11 +202,11 @@ def _target(mark: Marks, rows: pd.DataFrame, height: float) -> dict[str, Any]:
 def _placed(
     mark: Marks, rows: pd.DataFrame, told: list[str], height: float
 ) -> list[list[Any]]:
-    """Place, command or slope, and words of each row."""
+    """Place, command or slope or what else drives, and words of each row."""
     points = rows[[mark.x, mark.y]].to_numpy(float)
     pixels = mark.axes.transData.transform(points)
     asked: list[Any] = [None] * len(rows)
-    for column in ("slope", "command"):  # the latter, where there are both
+    for column in (mark.along, "command"):  # the latter, where there are both
         if column in rows:
             asked = rows[column].tolist()
 

@@ -13,14 +13,22 @@ function walkerOf(keys) {
   return walkers.get(name);
 }
 
-const sameLine = (a, b) => Object.keys({ ...a, ...b }).every(key => key in a && key in b && (a[key] === b[key] || abs(a[key] - b[key]) <= 1e-9 * abs(a[key])));
-const lineAt = at => LINES.find(line => sameLine(line.at, at));
+const isAt = (a, b) => a === b || abs(a - b) <= 1e-9 * abs(a);
+const sameLine = (a, b) => Object.keys({ ...a, ...b }).every(key => key in a && key in b && isAt(a[key], b[key]));
+/** Line at values of its axes; of one along what drives at a slope the walker that these make, whose line is `over`. */
+function lineAt(at, slope) {
+  for (const line of LINES) {
+    const { along } = line;
+    if (sameLine(line.at, at)) return line;
+    if (along && sameLine({ ...line.at, [along]: at[along] }, { ...at, slope })) return { ...line, at, over: line.command, keys: { ...line.keys, [along]: at[along] }, command: line.command + at[along] };
+  }
+}
 
 /** Line of a grid at values of its axes, from whose cells gaits start; undefined where the grid has no such values. */
 function lineOfGrid(at) {
   for (const { axes, lines } of GRIDS) for (const own of lines) {
     const { slope, ...fixed } = own.at, others = axes.filter(axis => axis.name !== "slope");
-    for (const { name, values } of others) fixed[name] = values.find(value => abs(value - at[name]) <= 1e-9 * abs(value));
+    for (const { name, values } of others) fixed[name] = values.find(value => isAt(value, at[name]));
     if (sameLine(fixed, at)) return { ...own, at, keys: keysOf({ ...own, axes }, at), branches: [], command: own.command + others.map(({ name }) => ` --set ${name}=${at[name]}`).join("") };
   }
 }
@@ -71,7 +79,8 @@ function describe(found, walker, more) {
     label: (swing - stance) / abs(stance) < 0.5 ? "long" : "short", losses: lossesOf(walker, step), violations: violationsOf(walker, start, step, slope) };
 }
 
-const withSlope = (command, slope) => command && `${command} --slope ${slope}`;
+/** Command of a line at a slope, or at what else drives, by which it ends; some have their slope. */
+const withSlope = (command, slope) => command && (command.endsWith("=") ? command + slope : command.includes(" --slope ") ? command : `${command} --slope ${slope}`);
 
 /**
  * The gait that a page holds with its slope and start, polished to the digits of this script's own flight; null where it
@@ -142,16 +151,16 @@ function gaitGuessed(line, slope, angle) {
 
 /** Why an address names no gait of this page: what is the nearest that the page has. */
 function whyNot({ at, slope, start }) {
-  const line = lineAt(at), said = all => Object.entries(all).map(([key, value]) => `${key} = ${typeof value === "number" ? brief(value, 6) : value}`).join(", ");
+  const line = lineAt(at, slope), said = all => Object.entries(all).map(([key, value]) => `${key} = ${typeof value === "number" ? brief(value, 6) : value}`).join(", ");
   if (line) {
-    const slopes = line.branches.flat().map(node => node[0]);
+    const slopes = line.branches.flat().map(node => node[0]), low = min(...slopes), high = max(...slopes);
     if (!leads(line.keys, slope)) return "The address has no slope.";
-    if (slopes.length && (slope < min(...slopes) || slope > max(...slopes))) return `At slope ${brief(slope, 6)} this line has no gait: its gaits are at slopes from ${brief(min(...slopes), 5)} to ${brief(max(...slopes), 5)} rad.`;
+    if (slopes.length && (slope < low || slope > high)) return `At slope ${brief(slope, 6)} this line has no gait: its gaits are at slopes from ${brief(low, 5)} to ${brief(high, 5)} rad.`;
     return start.length ? `No gait of this line is near slope ${brief(slope, 6)} and stance angle ${brief(start[0], 6)}.` : `No gait of this line was found at slope ${brief(slope, 6)}.`;
   }
   for (const map of MAPS.filter(one => !one.free)) for (const side of [map.x, map.y]) {
     const value = at[side.name];
-    if (value === undefined || side.values.some(one => abs(one - value) <= 1e-9 * abs(one))) continue;
+    if (value === undefined || side.values.some(one => isAt(one, value))) continue;
     const nearest = side.values.reduce((best, one) => abs(one - value) < abs(best - value) ? one : best);
     return `${side.name} = ${brief(value, 6)} is not on the map: its nearest value is ${brief(nearest, 6)}.`;
   }
@@ -263,7 +272,7 @@ function gaitOfCell(map, cell) {
 
 /** The maps' cell that an address names: [map, cell], or null. */
 function cellNamed({ at, slope, start }) {
-  const wanted = { ...at, slope }, indexOf = side => side.values.findIndex(value => abs(value - wanted[side.name]) <= 1e-9 * abs(value));
+  const wanted = { ...at, slope }, indexOf = side => side.values.findIndex(value => isAt(value, wanted[side.name]));
   for (const map of MAPS.filter(one => !one.free)) {
     const cell = [indexOf(map.x), indexOf(map.y)], own = !cell.includes(-1) && cellOf(map, cell);
     if (own?.start && !start.length && sameLine(own.at, at)) return [map, cell];

@@ -47,7 +47,7 @@ for (const plot of nodesOf(".plot")) {
     // A line that is hidden or shown is so in all figures of the page.
     const turn = isAway => {
       if (isAway) away.add(line); else away.delete(line);
-      button.setAttribute("aria-pressed", !isAway);
+      button.ariaPressed = !isAway;
       for (const part of parts) if (Number(part.dataset.line) === line) part.style.display = isAway ? "none" : "";
     };
     (LEGENDS[button.textContent] ??= []).push(turn);
@@ -84,9 +84,8 @@ for (const plot of nodesOf(".plot")) {
         command: known && !map.free && leads(keysOf(map, at), slope) ? withSlope(command, slope) : null };
     }
     const [x, y, more, ...values] = curve.rows[row], state = curve.free && curve.starts?.[row]?.slice(0, 3).join(" ");
-    if (state) return { place: [x, y], label: curve.label, line: curve.line, pairs: curve.names.map((name, i) => [name, values[i]]), command: `${withSlope(curve.command, more).replace("solve", "simulate")} --state ${state}` };
-    return { place: [x, y], label: curve.label, line: curve.line, pairs: curve.names.map((name, i) => [name, values[i]]),
-      command: typeof more === "string" ? more : more !== null && curve.command ? withSlope(curve.command, more) : null };
+    const command = typeof more === "string" ? more : more !== null && withSlope(curve.command, more);
+    return { place: [x, y], label: curve.label, line: curve.line, pairs: curve.names.map((name, i) => [name, values[i]]), command: state ? `${command.replace("solve", "simulate")} --state ${state}` : command };
   }
   function show(item) {
     const { place, label, line, pairs, command } = factsOf(item), list = make("dl");
@@ -102,6 +101,7 @@ for (const plot of nodesOf(".plot")) {
     tip.style.top = `${py > tall + 14 ? py - tall - 14 : py + 16}px`;
   }
 
+  const isIn = (box, [x, y]) => x >= box[0] && x <= box[2] && y >= box[1] && y <= box[3];
   // What a point of a curve, or a cell of a map, makes walk: the very gait that the tip names.
   const lineOf = curve => LINES.find(line => line.command === curve.command);
   function wishOf({ map, cell, curve, row }) {
@@ -110,15 +110,16 @@ for (const plot of nodesOf(".plot")) {
       return map.at && { at: map.at, given: map, slope: map.slope, start: [...start, map.ratio === undefined ? NaN : start[1] * map.ratio], before: true, free: true };
     }
     if (map) return map.fields.stance_angle ? { map, cell } : null;
-    const line = lineOf(curve), slope = curve.rows[row][2], start = curve.starts?.[row];
-    return line && start?.length && typeof slope === "number" ? { at: line.at, slope, start, free: curve.free } : null;
+    const line = lineOf(curve), value = curve.rows[row][2], start = curve.starts?.[row], { slope, ...at } = line?.at ?? {};
+    if (line?.along) at[line.along] = value;
+    return line && start?.length && typeof value === "number" ? { at, slope: slope ?? value, start, free: curve.free } : null;
   }
   function placeIn(side, share) {
     const apart = v => abs(shareOf(side, v) - share);
     return side.values.reduce((best, v, i) => apart(v) < apart(side.values[best]) ? i : best, 0);
   }
   function cellAt([x, y]) {
-    const map = panels.findLast(({ box }) => x >= box[0] && x <= box[2] && y >= box[1] && y <= box[3]);
+    const map = panels.findLast(({ box }) => isIn(box, [x, y]));
     if (!map) return null;
     const { box } = map;
     return { map, cell: [placeIn(map.x, (x - box[0]) / (box[2] - box[0])), placeIn(map.y, (box[3] - y) / (box[3] - box[1]))] };
@@ -134,17 +135,18 @@ for (const plot of nodesOf(".plot")) {
     if (named && panels.includes(named[0])) return factsOf({ map: named[0], cell: named[1] }).place;
     for (const found of panels.filter(map => map.free && gait.free && sameLine(map.at ?? {}, gait.at))) {
       const point = putOn(found, [gait.start[0], rateBefore(gait) / gait.walker.time]), { box } = found;
-      if (point[0] >= box[0] && point[0] <= box[2] && point[1] >= box[1] && point[1] <= box[3]) return point;
+      if (isIn(box, point)) return point;
     }
     const angles = curve => curve.starts?.map(start => start[0]);
-    const isOf = curve => angles(curve) && (curve.command === gait.line?.command || lineOf(curve) && sameLine(lineOf(curve).at, gait.at));
+    const { over, along } = gait.line ?? {}, value = over ? gait.at[along] : gait.slope;
+    const isOf = curve => angles(curve) && (curve.command === (over ?? gait.line?.command) || lineOf(curve) && sameLine(lineOf(curve).at, gait.at));
     // Where slope and angle are the figure's own axes, the place follows from their scales.
     for (const curve of series.filter(isOf)) for (const one of frames) {
       const off = ([x, y], r) => hypot(...minus(putOn(one, [curve.rows[r][2], angles(curve)[r]]), [x, y]));
-      if (curve.rows.every((row, r) => off(row, r) < 0.3)) return putOn(one, [gait.slope, gait.start[0]]);
+      if (curve.rows.every((row, r) => off(row, r) < 0.3)) return putOn(one, [value, gait.start[0]]);
     }
     const place = (curve, r) => [rank(curve.rows[r][2]), log(angles(curve)[r])];
-    const target = [rank(gait.slope), log(gait.start[0])];
+    const target = [rank(value), log(gait.start[0])];
     let best = null, least = 0.08;
     for (const curve of series) {
       if (!isOf(curve)) continue;
@@ -171,12 +173,12 @@ for (const plot of nodesOf(".plot")) {
 
   // Numbers along the edges of a zoomed picture, for those of its axes are out of sight.
   const numbers = plot.appendChild(make("div", "numbers-on-edges"));
-  numbers.setAttribute("aria-hidden", "true");
+  numbers.ariaHidden = "true";
   function label() {
     numbers.replaceChildren();
     if (view.w === width) return;
     const tall = view.w * height / width, middle = [view.x + view.w / 2, view.y + tall / 2];
-    const one = frames.find(({ box }) => middle[0] > box[0] && middle[0] < box[2] && middle[1] > box[1] && middle[1] < box[3]);
+    const one = frames.find(({ box }) => isIn(box, middle));
     if (!one) return;
     const { box } = one, seen = [[view.x, view.x + view.w], [view.y + tall, view.y]];
     ["x", "y"].forEach((side, k) => {
@@ -214,7 +216,7 @@ for (const plot of nodesOf(".plot")) {
     for (const [sign, words, act] of [["+", "Zoom in", () => look(view.w / 1.6)], ["−", "Zoom out", () => look(view.w * 1.6)], ["⤢", "Whole figure", () => look(width)]]) {
       const button = tools.appendChild(make("button", "", sign));
       button.title = words;
-      button.setAttribute("aria-label", words);
+      button.ariaLabel = words;
       button.onclick = act;
     }
   }

@@ -20,6 +20,7 @@ const rank = slope => slope > 0 ? log(slope) : 99 * slope - 99;
 // Whether a walker may have gaits on a slope: level ground and uphill take something that drives it.
 const leads = (keys, slope) => slope > 0 || (isFinite(slope) && (keys.push_off || keys.hip_torque));
 const sum = values => values.reduce((total, value) => total + value, 0);
+const dot = (a, b) => sum(Array.from(a, (v, i) => v * b[i]));
 
 // Links that move as one, by their places in the chain.
 const GROUPS = { open: [[0], [1], [2], [3]], free: [[0, 1], [2], [3]], locked: [[0, 1], [2, 3]] };
@@ -243,7 +244,7 @@ function pushing(walker, angle) {
   const u = toContact.map(v => v / size), knee = turned(walker.knee, -angle), rest = minus(toContact, knee);
   const shank = turned(minus([0, walker.l], [-walker.knee[0], -walker.knee[1]]), angle), thigh = turned([-walker.knee[0], -walker.knee[1]], angle);
   const arms = [[-shank[1] - walker.R, shank[0]], [-thigh[1], thigh[0]], [-knee[1], knee[0]], [-rest[1], rest[0]]];
-  return { u, along: walker.striking.groups.map(g => sum(g.map(j => u[0] * arms[j][0] + u[1] * arms[j][1]))) };
+  return { u, along: walker.striking.groups.map(g => sum(g.map(j => dot(u, arms[j])))) };
 }
 
 /** What a push-off does to a walker that stands on no foot: velocity of the point that will strike, rates, and its work. */
@@ -254,7 +255,7 @@ function pushOff(walker, angle) {
   const rows = [[1, 0, ...levers.map(w => w[0])], [0, 1, ...levers.map(w => w[1])]];
   levers.forEach((w, i) => rows.push([...w, ...M.subarray(i * n, i * n + n)]));
   const given = [...u, ...along], [x, y, ...rates] = solveRows(rows, given.map(v => P * v));
-  return { u, velocity: [x, y], rates, work: P / 2 * sum([x, y, ...rates].map((v, i) => v * given[i])) };
+  return { u, velocity: [x, y], rates, work: P / 2 * dot([x, y, ...rates], given) };
 }
 
 /** State just after heelstrike at a stance angle, from the rates of the old stance and swing leg before it. */

@@ -8,7 +8,7 @@ const stateAt = (walker, y) => walker.kneed ? strikeHeel(walker, y[0], [y[1], y[
 /** Section coordinates of a state just after heelstrike: with knees, of the nearest that a heelstrike gives. */
 function sectionOf(walker, x) {
   if (!walker.kneed) return [x[0], x[2], x[3]];
-  const dot = (a, b) => sum(Array.from(a, (v, i) => v * b[i])), gained = strikeHeel(walker, x[0], [0, 0]).slice(3);
+  const gained = strikeHeel(walker, x[0], [0, 0]).slice(3);
   const rates = x.slice(3).map((v, i) => v - gained[i]);
   const [u, v] = [[1, 0], [0, 1]].map(unit => strikeHeel(walker, x[0], unit).slice(3).map((w, i) => w - gained[i])), share = dot(u, v) / dot(u, u);
   const rest = v.map((value, i) => value - share * u[i]), swing = dot(rest, rates) / dot(rest, rest);
@@ -96,7 +96,7 @@ function findGait(walker, start, slope0, free = false) {
 
 /** The shortest x of A x = b, for fewer rows than columns. */
 function leastChange(A, b) {
-  const part = solveRows(A.map(row => A.map(other => sum(row.map((v, j) => v * other[j])))), b);
+  const part = solveRows(A.map(row => A.map(other => dot(row, other))), b);
   return A[0].map((_, j) => sum(A.map((row, i) => row[j] * part[i])));
 }
 
@@ -120,7 +120,7 @@ function multipliersOf(J) {
 /** Rates of a chain for unit impulses along rows: r M^-1 r^T. */
 function compliance(chain, q, rows) {
   const responses = rows.map(row => solveLast(massMatrix(chain, q), Float64Array.from(row)));
-  return rows.map(row => responses.map(response => sum(row.map((v, i) => v * response[i]))));
+  return rows.map(row => responses.map(response => dot(row, response)));
 }
 
 /** Energies lost in a step, in weight times leg, on the eigenvectors of the contact mass matrix and at kneestrike. */

@@ -13,7 +13,7 @@ for (const table of nodesOf("table.archive")) {
     button.onclick = () => {
       const down = head.getAttribute("aria-sort") === "ascending";
       for (const other of table.tHead.rows[0].cells) other.removeAttribute("aria-sort");
-      head.setAttribute("aria-sort", down ? "descending" : "ascending");
+      head.ariaSort = down ? "descending" : "ascending";
       const rows = [...body.rows].map(row => [exact(row.cells[k]), row.cells[k].textContent, row]);
       rows.sort((a, b) => isNaN(a[0]) || isNaN(b[0]) ? a[1].localeCompare(b[1]) || 0 : a[0] - b[0]);
       if (down) rows.reverse();
@@ -27,10 +27,10 @@ for (const scroll of nodesOf(".scroll")) {
   const numbers = [...scroll.querySelectorAll("data")].filter(data => data.value.length > data.textContent.length), more = scroll.querySelectorAll("th.more").length;
   if (!more && !numbers.length) continue;
   const button = make("button", "save", `All ${more ? "columns and " : ""}digits`), texts = numbers.map(data => data.textContent);
-  button.setAttribute("aria-pressed", false);
+  button.ariaPressed = false;
   button.onclick = () => {
     const whole = scroll.classList.toggle("whole");
-    button.setAttribute("aria-pressed", whole);
+    button.ariaPressed = whole;
     numbers.forEach((data, k) => { data.textContent = whole ? minusSign(data.value) : texts[k]; });
   };
   scroll.after(button);
@@ -38,11 +38,11 @@ for (const scroll of nodesOf(".scroll")) {
 
 // Rows of gaits that this page can start: a button in the first cell.
 for (const row of nodesOf("tr[data-gait]")) {
-  const wish = readAddress(row.dataset.gait), line = wish && lineAt(wish.at), place = line?.branches.length ? placeOn(line, wish.slope, wish.start[0]) : null;
-  if (!place || place.apart > NEAR) continue;
+  const wish = readAddress(row.dataset.gait), line = wish && lineAt(wish.at, wish.slope), place = line?.branches.length && placeOn(line, wish.slope, wish.start[0]);
+  if (!(place ? place.apart < NEAR : line?.over && wish.start.length > 2)) continue;
   const button = make("button", "walk-it", "▸");
   button.title = "Show this gait walking";
-  button.setAttribute("aria-label", `Show the gait at slope ${wish.slope} walking`);
+  button.ariaLabel = `Show the gait at slope ${wish.slope} walking`;
   row.cells[0].prepend(button, " ");
   row.onclick = event => { if (event.target === button || !event.target.closest("a, button")) select(wish, { dock: true }); };
   document.addEventListener("gait", ({ detail }) => row.classList.toggle("chosen",
@@ -54,8 +54,8 @@ document.querySelector("main").classList.add("folding");
 for (const claim of nodesOf(".claim")) {
   const button = make("button", "unfold", "▾");
   button.ariaLabel = `Show claim ${claim.id}`;
-  button.setAttribute("aria-expanded", false);
-  button.onclick = () => button.setAttribute("aria-expanded", claim.classList.toggle("open"));
+  button.ariaExpanded = false;
+  button.onclick = () => button.ariaExpanded = claim.classList.toggle("open");
   claim.querySelector("h3").append(button);
 }
 

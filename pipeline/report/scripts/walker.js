@@ -35,7 +35,7 @@ if (panel && LINES.length + nodesOf("script.panels").length) {
     const { time: unit, s } = units(), scrub = find("scrub"), whole = durationOf(now.step);
     scrub.value = whole ? now.t / whole : 0;
     const number = (motion.number ?? 0) + now.k + 1;
-    scrub.setAttribute("aria-valuetext", `${brief(now.t * unit, 3)} ${s} of step ${number}`);
+    scrub.ariaValueText = `${brief(now.t * unit, 3)} ${s} of step ${number}`;
     find("clock").textContent = `step ${number}, ${minusSign((now.t * unit).toFixed(2))} of ${(whole * unit).toFixed(2)} ${s}`;
     const knee = now.step.kneestrike;
     find("strike").hidden = !knee;
@@ -57,7 +57,7 @@ if (panel && LINES.length + nodesOf("script.panels").length) {
     playing = on;
     before = 0;
     button("play").textContent = on ? "Pause" : "Play";
-    button("play").setAttribute("aria-pressed", on);
+    button("play").ariaPressed = on;
   }
   function dock(on) {
     docked = on;
@@ -147,12 +147,11 @@ if (panel && LINES.length + nodesOf("script.panels").length) {
   // Along the branch: every place between two nodes is a gait, found anew.
   function slider() {
     const nodes = gait.line?.branches?.[gait.branch] ?? [], range = find("slide");
-    find("along").hidden = nodes.length < 2;
-    if (nodes.length < 2) return;
+    if (find("along").hidden = nodes.length < 2) return;
     range.max = nodes.length - 1;
     range.step = (nodes.length - 1) / 1000;
     if (document.activeElement !== range || abs(range.value - gait.place) > 1) range.value = gait.place;
-    range.setAttribute("aria-valuetext", `slope ${brief(gait.slope, 5)}, stance angle ${brief(gait.start[0], 5)}, ${gait.radius < 1 ? "stable" : "unstable"}`);
+    range.ariaValueText = `slope ${brief(gait.slope, 5)}, stance angle ${brief(gait.start[0], 5)}, ${gait.radius < 1 ? "stable" : "unstable"}`;
   }
   let wanted = null;
   function slideTo(place) {
@@ -205,7 +204,7 @@ if (panel && LINES.length + nodesOf("script.panels").length) {
     const xs = found.map(([x]) => x), ys = found.map(([, y]) => y), [left, right, low, high] = [min(...xs), max(...xs), min(...ys), max(...ys)], degree = min(7, n - 2);
     const basis = x => { const u = 2 * (x - left) / (right - left) - 1, all = [1, u]; while (all.length <= degree) all.push(2 * u * all.at(-1) - all.at(-2)); return all.slice(0, degree + 1); };
     const rows = xs.map(basis), share = solveRows(rows[0].map((_, i) => rows[0].map((_, j) => sum(rows.map(row => row[i] * row[j])))), rows[0].map((_, i) => sum(rows.map((row, k) => row[i] * ys[k]))));
-    const value = x => sum(basis(x).map((b, i) => b * share[i])), error = max(...xs.map((x, k) => abs(value(x) - ys[k])));
+    const value = x => dot(basis(x), share), error = max(...xs.map((x, k) => abs(value(x) - ys[k])));
     const place = ([x, y]) => [6 + 228 * (x - left) / (right - left), 52 - 44 * (y - low) / (high - low || 1)];
     // A poor polynomial would mislead: then the dots stand alone.
     const isClose = error < 0.01 * high;
@@ -273,10 +272,10 @@ if (panel && LINES.length + nodesOf("script.panels").length) {
   }
 
   select = (wish, options = {}) => {
-    const own = wish.at && lineAt(wish.at), named = wish.start && !wish.free && !own && cellNamed(wish), line = own ?? (wish.at && !named && lineOfGrid(wish.at));
+    const own = wish.at && lineAt(wish.at, wish.slope), named = wish.start && !wish.free && !own && cellNamed(wish), line = own ?? (wish.at && !named && lineOfGrid(wish.at));
     const [map, cell] = wish.map ? [wish.map, wish.cell] : named || [];
     const found = map ? gaitOfCell(map, cell) : wish.free ? (wish.given || line) && freeMotion(wish.given ?? line, wish) : line ? gaitNear(line, wish.slope, wish.start) : null;
-    const still = map ? cellOf(map, cell).slope === 0 : wish.slope === 0 || wish.start?.[0] === 0;
+    const still = map ? cellOf(map, cell).slope === 0 : wish.slope === 0 && !line?.over || wish.start?.[0] === 0;
     say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : still ? "Here the steps have no length: nothing walks." : map ? "No gait is stored for this cell." : whyNot(wish));
     if (found) show(found, options); else if (options.dock) clear();
     if (options.dock) dock(true);
