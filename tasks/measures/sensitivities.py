@@ -76,12 +76,13 @@ _BEYOND = _Stencil(
     np.array([-522.0, 1755.0, -2540.0, 1980.0, -810.0, 137.0]) / 60,
     1e-4,
 )
-#: Weights of seven values side by side in their sixth difference, and the largest of
-#: constants that are smooth, over their size. Where it is larger, steps are made ten
-#: times as small, so often.
+#: Weights of seven values side by side in their sixth difference; the largest of
+#: constants that are smooth, and their largest change, over their size but for small
+#: ones. Where one is larger, steps are made ten times as small, so often.
 _SIXTH = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])
-_SMOOTH = 1e-12
-_TIMES_FINER, _LEAST_CONSTANT = 7, 1e-3
+_SMOOTH, _LEAST_CONSTANT = 1e-12, 1e-3
+_CHANGED, _LEAST_CHANGED = 2e-2, 1.0
+_TIMES_FINER = 7
 
 SLOPE, _RADIUS = "slope", "spectral_radius"
 Measured = dict[str, np.ndarray]
@@ -190,10 +191,14 @@ _TRIALS = 6
 
 
 def _are_smooth(values: np.ndarray) -> bool:
-    """Whether functions (c, 7) at places side by side are smooth there."""
-    size = np.maximum(np.abs(values).max(axis=1), _LEAST_CONSTANT)
+    """Whether functions (c, 7) at places side by side are smooth, and change little."""
+    size = np.abs(values).max(axis=1)
+    changed = values.max(axis=1) - values.min(axis=1)
     with np.errstate(invalid="ignore", over="ignore"):
-        return bool((np.abs(values @ _SIXTH) <= _SMOOTH * size).all())
+        sixth = np.abs(values @ _SIXTH)
+    is_smooth = sixth <= _SMOOTH * np.maximum(size, _LEAST_CONSTANT)
+    is_near = changed <= _CHANGED * np.maximum(size, _LEAST_CHANGED)
+    return bool((is_smooth & is_near).all())
 
 
 def _size(name: str, walker: Walker) -> float:
@@ -258,6 +263,22 @@ class Rows:
             of_jacobian = derivatives[len(smooth) :]
             shaped = of_jacobian.reshape(*jacobian.shape[:2], *of_jacobian.shape[1:])
             found[_RADIUS] = _radius_moved(jacobian, shaped)
+        return {name: found[name] for name in self.names}
+
+    def sizes(self, values: np.ndarray) -> np.ndarray:
+        """Return the sizes of rows, or of their derivatives, shape (r, ...): entries of
+        the step map's derivative count by the largest of them, and by one at least.
+        """
+        sizes = np.abs(values)
+        entries = sizes[len(self.smooth) :]
+        if len(entries):
+            entries[:] = np.maximum(1.0, entries.max(axis=0))
+        return sizes
+
+    def of_names(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """Return whether measures are, where rows, bool (r, ...), are."""
+        found = dict(zip(self.smooth, rows, strict=False))
+        found[_RADIUS] = rows[len(self.smooth) :].all(axis=0)
         return {name: found[name] for name in self.names}
 
 
@@ -443,14 +464,20 @@ def measures_among(want: Sequence[str], walker: Walker) -> tuple[str, ...]:
     return tuple(name for name in wanted if name in of_walker)
 
 
-def by_all_keys(problem: Problem, Z: Coordinates, rows: Rows) -> np.ndarray:
-    """Return the derivatives of rows by each of `DIFFERENTIATED`, shape (r, keys, n);
-    NaN by keys beside whose values walkers are of another kind.
+def by_all_keys(
+    problem: Problem,
+    Z: Coordinates,
+    rows: Rows,
+    names: Sequence[str] = DIFFERENTIATED,
+) -> np.ndarray:
+    """Return the derivatives of rows by `DIFFERENTIATED`, or some of these, shape (r,
+    keys, n); NaN by keys beside whose values walkers are of another kind.
     """
-    by_keys, _ = _at_gaits(problem, Z, _keys_of(problem.walker), rows)
+    keys = [key for key in _keys_of(problem.walker) if key.name in names]
+    by_keys, _ = _at_gaits(problem, Z, keys, rows)
     some = next(iter(by_keys.values()))
     nowhere = np.full(some.shape, np.nan)
-    return np.stack([by_keys.get(key, nowhere) for key in DIFFERENTIATED], axis=1)
+    return np.stack([by_keys.get(name, nowhere) for name in names], axis=1)
 
 
 def sizes_of_keys(walker: Walker, slope: np.ndarray) -> np.ndarray:
