@@ -70,7 +70,7 @@ TASKS = {
         Task(
             "points",
             "gaitsweep.tasks.studies.solve_points:points",
-            27,
+            28,
             needs=("atlas",),
         ),
         Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 1),
@@ -81,7 +81,7 @@ TASKS = {
         Task(
             "branch",
             "gaitsweep.tasks.studies.follow_branches:branch",
-            23,
+            24,
             needs=("atlas",),
         ),
         Task(

@@ -8,7 +8,7 @@ before polynomials go through them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -193,20 +193,33 @@ class ChartedDerivatives:
         if sheet.served is not None:
             served = sheet.served.reshape(served.shape)
 
-        rows, keys = self.rows, np.flatnonzero(self.has)
-        is_served = rows.of_names(served)
-        for name, by_keys in rows.named(by_sizes / sizes, gaits.jacobian).items():
+        keys = np.flatnonzero(self.has)
+        is_served = self.rows.of_names(served)
+        named = self.rows.named(by_sizes / sizes, gaits.jacobian)
+        for name, by_keys in named.items():
             own = is_served[name]
             found[name + BY_KEY][np.ix_(gaits.lanes, keys[own])] = by_keys[own].T
+        self._put_others(found, gaits, keys, is_served)
 
+    def _put_others(
+        self,
+        found: Measured,
+        gaits: _Some,
+        keys: np.ndarray,
+        is_served: Mapping[str, np.ndarray],
+    ) -> None:
+        """Put derivatives of single gaits by numbered keys, of measures and keys that no
+        polynomials serve.
+        """
         others = [name for name, own in is_served.items() if not own.all()]
-        if others:
-            lacks = ~np.all([is_served[name] for name in others], axis=0)
-            alone = gaits.differentiated(self.problem, others, keys[lacks])
-            for name, by_keys in alone.items():
-                own = is_served[name][lacks]
-                at = np.ix_(gaits.lanes, keys[lacks][~own])
-                found[name + BY_KEY][at] = by_keys[~own].T
+        if not others:
+            return
+        lacks = ~np.all([is_served[name] for name in others], axis=0)
+        alone = gaits.differentiated(self.problem, others, keys[lacks])
+        for name, by_keys in alone.items():
+            own = ~is_served[name][lacks]
+            at = np.ix_(gaits.lanes, keys[lacks][own])
+            found[name + BY_KEY][at] = by_keys[own].T
 
     def _on_piece(
         self, sheets: Sequence[Sheet], q: np.ndarray

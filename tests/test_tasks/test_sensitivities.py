@@ -1,5 +1,7 @@
 """Derivatives of gaits by slope and keys."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,8 @@ import gaitsweep
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.tasks.branches.atlas import from_arrays
 from gaitsweep.tasks.branches.equations import Equations
+from gaitsweep.tasks.charts.sheet import Asked, Sampled, fit_sheets
+from gaitsweep.tasks.charts.span import Span
 from gaitsweep.tasks.gaits.polish import settle, unmeasured
 from gaitsweep.tasks.measures.levels import measures_at
 from gaitsweep.tasks.step.problem import Problem
@@ -349,21 +353,28 @@ def test_whatever_is_told_is_what_gaits_beside_have_and_all_else_has_a_reason(
         if np.isnan(gait.period):
             continue
         here = np.array([float(gait[name]) for name in names])
-        for key, reason in zip(
-            found.key.values[1:], found.key_reason.values[1:], strict=True
-        ):
-            told = np.array([float(found[n].sel(gait=label, key=key)) for n in names])
+        reasons = zip(found.key.values, found.key_reason.values, strict=True)
+        for key, reason in list(reasons)[1:]:
+            at = found.sel(gait=label, key=key)
+            told = np.array([float(at[name]) for name in names])
             if reason:
                 assert np.isnan(told).all(), key
                 continue
+
             quotients = _quotients(own, slope, gait, key, here, names)
-            off = np.abs(quotients - told) / (np.abs(told) + np.abs(here))
-            assert np.isfinite(told).all() and np.nanmin(off, axis=0).max() < 1e-3, key
+            assert _is_among(told, quotients, here), key
             measured += 1
     assert measured > 5
 
 
 START = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrike_time")
+
+
+def _is_among(told, quotients, here):
+    """Whether each derivative is one of several quotients, over the measures too."""
+    size = np.abs(told) + np.abs(here)
+    off = np.nanmin(np.abs(quotients - told) / size, axis=0)
+    return np.isfinite(told).all() and off.max() < 1e-3
 
 
 def _quotients(walker, slope, gait, key, here, names):
@@ -376,6 +387,7 @@ def _quotients(walker, slope, gait, key, here, names):
     )
     up, down = (more - here) / steps[:, None], (here - less) / steps[:, None]
     central = (more - less) / (2 * steps[:, None])
+
     extrapolated = [(100 * q[1:] - q[:-1]) / 99 for q in (up, down)]
     return np.vstack([central, *extrapolated])
 
@@ -387,17 +399,82 @@ def _beside(walker, slope, gait, key, value, names):
         problem = Problem(walker.having(key, value))
     except WalkerError:
         return missing
-    unit = problem.walker.time_unit
-    state = np.array([[float(gait[name])] for name in START[:3]])
-    state[1:] *= unit
-    times = [float(gait.period) / unit]
-    if problem.walker.knees:
-        times.insert(0, float(gait.kneestrike_time) / unit)
-    y = problem.section_of(state, np.array([slope]))
-    w = np.vstack([np.log(y[:1]), y[1:] / y[0], np.reshape(times, (-1, 1))])
+    w = _guess(problem, gait, slope)
     settled = settle(problem, unmeasured(problem, w, np.array([slope])))
     if not (settled.converged & settled.step)[0]:
         return missing
     Z = np.vstack([settled.w, np.log([slope])])
     of_gait = measures_at(names, Equations(problem).evaluate(Z))
     return np.array([of_gait[name][0] for name in names])
+
+
+def _guess(problem, gait, slope):
+    """Unknowns w of a gait, of another walker."""
+    unit = problem.walker.time_unit
+    state = np.array([[float(gait[name])] for name in START[:3]])
+    state[1:] *= unit
+
+    times = [float(gait.period) / unit]
+    if problem.walker.knees:
+        times.insert(0, float(gait.kneestrike_time) / unit)
+
+    y = problem.section_of(state, np.array([slope]))
+    return np.vstack([np.log(y[:1]), y[1:] / y[0], np.reshape(times, (-1, 1))])
+
+
+def test_violations_of_many_gaits_are_differentiated():
+    """More walkers beside than are measured at a time."""
+    slopes = np.linspace(0.01, 0.02, 12)
+    wanted = ["least_normal_force", "sensitivities"]
+
+    found = gaitsweep.gaits("D", slopes, variables=wanted).least_normal_force_by_key
+
+    alone = gaitsweep.sensitivities("D", slopes[7], variables=["least_normal_force"])
+    ours = found.isel(slope=7).sel(gait="long", key=["slope", "l_t", "m_s"])
+    theirs = alone.least_normal_force.sel(gait="long", key=["slope", "l_t", "m_s"])
+    np.testing.assert_allclose(ours.values, theirs.values, rtol=1e-6)
+
+
+def test_a_value_that_polynomials_do_not_give_is_refused_alone():
+    def solve(asked, points):
+        for x in points:
+            position = x[:, 0]
+            values = np.array(
+                [np.exp(position), np.abs(position - 0.1), position * np.nan]
+            )
+            yield Sampled(values, np.ones(values.shape), 0.0, 1)
+
+    asked = Asked(0, Span.between(np.array([0.0, 1.0]), 0), (16,), (16,))
+    at_once = partial(fit_sheets, [asked], solve, 1e-8, lambda half: False)
+
+    (_, sheet), *others = at_once(by_value=True)
+
+    assert not others and sheet.chart is not None
+    # No gait has the last one: that is known.
+    assert sheet.served.tolist() == [True, False, True]
+    assert at_once() == []
+
+
+@SLOW
+@pytest.mark.parametrize("want", [("period", "friction_demand", "spectral_radius")])
+def test_measures_that_are_not_smooth_leave_polynomials_to_the_others(want):
+    """Of the largest friction two extremes are equal for point feet without mass."""
+    line = {"walker": "D", "set": {}}
+    branches = from_arrays(atlas({"line": line}, []))
+    slopes = np.linspace(0.004, 0.011, 12)
+    names = [f"{name}_by_key" for name in want]
+
+    def solved(charted):
+        asked = {"slope": slopes, "want": (*want, *names), "charted": charted}
+        return solve_line(line, branches, Request.of(asked))
+
+    ours, theirs = solved(True), solved(False)
+
+    for name in names:
+        size = (
+            np.abs(theirs[name])
+            + np.abs(theirs[name.removesuffix("_by_key")])[..., None]
+        )
+        np.testing.assert_array_equal(np.isnan(ours[name]), np.isnan(theirs[name]))
+        assert np.nanmax(np.abs(ours[name] - theirs[name]) / size) < 1e-6
+    assert (ours["period_by_key"] != theirs["period_by_key"])[:, 0].any()
