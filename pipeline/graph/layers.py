@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.pipeline.grid.method import Method, variables
+from gaitsweep.pipeline.grid.method import Method, is_charted, variables
 from gaitsweep.pipeline.study import overlay
 from gaitsweep.pipeline.study.model import Study, about
 from gaitsweep.tasks.contract.registry import (
@@ -96,7 +96,7 @@ def point_params(study: Study, method: Method) -> dict[str, Any]:
         given["interpolated"] = method is Method.INTERPOLATED
     names = variables(study)
     if any(VARIABLES[name].group == SENSITIVITIES for name in names):
-        given["charted"] = method is Method.LONG
+        given["charted"] = is_charted(study, method)
     measures = _versions(names)
     if measures:
         given["measures"] = measures

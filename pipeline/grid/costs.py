@@ -6,10 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from gaitsweep.pipeline.grid.method import Method, is_interpolated, variables
+from gaitsweep.pipeline.grid.method import (
+    Method,
+    is_charted,
+    is_interpolated,
+    span,
+    variables,
+)
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks.contract import registry
-from gaitsweep.tasks.contract.accuracy import nodes_for
+from gaitsweep.tasks.contract.accuracy import charted_from, nodes_for
 from gaitsweep.tasks.contract.costs import (
     ALONE,
     COSTS,
@@ -19,7 +25,7 @@ from gaitsweep.tasks.contract.costs import (
     STARTING,
     Cost,
 )
-from gaitsweep.tasks.contract.registry import OPTIONS, VARIABLES
+from gaitsweep.tasks.contract.registry import OPTIONS, SENSITIVITIES, VARIABLES
 
 
 def starting(study: Study) -> float:
@@ -87,10 +93,25 @@ def of_point(study: Study, method: Method) -> float:
     if method is Method.PLANE and is_interpolated(study):
         way = Method.INTERPOLATED
     groups = {VARIABLES[name].group for name in variables(study)}
-    dear = sorted(groups & {"violations", "sensitivities", "proofs"})
-    if method is Method.LONG:  # by polynomials
-        dear = [group.replace("sensitivities", "charted") for group in dear]
-    return _total(study, [POINTS[group] for group in (way, *dear)])
+    dear = sorted(groups & {"violations", "proofs"})
+    seconds = _total(study, [POINTS[group] for group in (way, *dear)])
+    return seconds + _of_derivatives(study, method)
+
+
+def _of_derivatives(study: Study, method: Method) -> float:
+    """Processor time of the derivatives of a point [s]: by polynomials, or of single
+    gaits, which with violations are measured as often.
+    """
+    groups = {VARIABLES[name].group for name in variables(study)}
+    if SENSITIVITIES not in groups:
+        return 0.0
+    single = [POINTS["sensitivities"]]
+    if "violations" in groups:
+        single.append(POINTS["violations differentiated"])
+    if not is_charted(study, method):
+        return _total(study, single)
+    sampled = charted_from(span(study)) / len(study.slope)
+    return sampled * _total(study, single) + _total(study, [POINTS["charted"]])
 
 
 def _of_line_alone(study: Study) -> float:

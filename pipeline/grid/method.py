@@ -4,6 +4,8 @@ compute.
 
 from enum import StrEnum
 
+import numpy as np
+
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks.contract import accuracy
 from gaitsweep.tasks.contract.registry import READS, SHORT_LINE, TASKS, VARIABLES
@@ -61,6 +63,20 @@ def is_interpolated(study: Study) -> bool:
     if len(study.values_along) <= SHORT_LINE:
         return False
     return accuracy.is_interpolated(variables(study), study.accuracy)
+
+
+def is_charted(study: Study, method: Method) -> bool:
+    """Whether polynomials over slopes may give the derivatives of gaits."""
+    down = study.slope[study.slope > 0]
+    if method is not Method.LONG or not len(down):
+        return False
+    return accuracy.is_charted(len(down), span(study))
+
+
+def span(study: Study) -> float:
+    """Range of ln slope of a study, of the slopes that lead down."""
+    down = study.slope[study.slope > 0]
+    return float(np.log(down.max() / down.min()))
 
 
 def wants_points_alone(study: Study) -> bool:

@@ -57,11 +57,33 @@ class Sampled:
 
         nodes = math.prod(sizes)
         chart = Chart.through(sizes, self.values[:, :nodes], self.size.min(axis=1))
-        off = np.abs(chart(points[nodes:]) - self.values[:, nodes:])
-        largest = (off / self.size[:, nodes:]).max()
-        tails = chart.tails(2 if min(sizes) >= _TWO_FROM else 1)
-        error = _SAFETY * largest + tails.max(axis=1).sum() + self.bound
+        off, tails = self._errors(chart, points[nodes:])
+        error = _SAFETY * off.max() + tails.max(axis=1).sum() + self.bound
         return replace(chart, error=float(error))
+
+    def served(self, chart: Chart, points: np.ndarray, good: float) -> np.ndarray:
+        """Return which values a chart gives to an accuracy, bool (c,): also those that
+        no gait has.
+
+        Parameters
+        ----------
+        chart : Chart
+            Through the nodes.
+        points : ndarray, shape (n, len(sizes))
+        good : float
+        """
+        off, tails = self._errors(chart, points[len(chart.coefficients) :])
+        is_good = _SAFETY * off + tails.sum(axis=0) + self.bound <= good
+        return np.asarray(is_good | np.isnan(self.values).all(axis=1))
+
+    def _errors(self, chart: Chart, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Largest errors of values at the points drawn, (c,), and their last
+        coefficients along each dimension, (d, c), over their sizes.
+        """
+        nodes = len(chart.coefficients)
+        off = np.abs(chart(drawn) - self.values[:, nodes:])
+        tails = chart.tails(2 if min(chart.sizes) >= _TWO_FROM else 1)
+        return (off / self.size[:, nodes:]).max(axis=1), tails
 
 
 @dataclass(frozen=True)
@@ -78,12 +100,15 @@ class Sheet:
     unmeasured : (float, float)
         How near both ends of the span, in its position, errors are not known; -1 where
         they are known up to the end.
+    served : ndarray of bool, shape (c,), optional
+        Which values the chart gives, where it does not give all.
     """
 
     span: Span
     chart: Chart | None = None
     passes: int = 0
     unmeasured: tuple[float, float] = (-1.0, -1.0)
+    served: np.ndarray | None = None
 
     @classmethod
     def of(
@@ -186,6 +211,7 @@ def fit_sheets(
     solve: Solve,
     good: float,
     is_needed: Callable[[Span], bool],
+    by_value: bool = False,
 ) -> list[tuple[int, Sheet]]:
     """Fit sheets, with more nodes, or in halves, where they do not reach an accuracy.
 
@@ -198,6 +224,9 @@ def fit_sheets(
         Largest error bound wanted.
     is_needed : callable
         Whether half of a span is needed.
+    by_value : bool
+        Whether a chart that does not reach the accuracy gives those values in which it
+        does.
 
     Returns
     -------
@@ -215,9 +244,15 @@ def fit_sheets(
                 done.append((sheet.number, sheet.fitted(chart, sampled.passes, x)))
             elif chart and (sizes := more_nodes(chart, sheet.most, good)):
                 again.append(replace(sheet, sizes=sizes))
-            elif halves := sheet.halves(chart, sampled.bound, good):
-                again += [half for half in halves if is_needed(half.span)]
             else:
-                done.append((sheet.number, Sheet(sheet.span)))
+                halves = sheet.halves(chart, sampled.bound, good)
+                needed = [half for half in halves if is_needed(half.span)]
+                again += needed
+                if chart and by_value and not needed:
+                    whole = sheet.fitted(chart, sampled.passes, x)
+                    served = sampled.served(chart, x, good)
+                    done.append((sheet.number, replace(whole, served=served)))
+                elif not halves:
+                    done.append((sheet.number, Sheet(sheet.span)))
         asked = again
     return done

@@ -26,6 +26,9 @@ INTERPOLATED_FROM = 1e-11
 MANTISSA = 52
 #: Nodes of a panel, besides one for each digit wanted.
 _NODES = 4
+#: Nodes of a panel of derivatives, and how many times as many slopes as gaits are
+#: differentiated for their panels lines have that polynomials serve.
+DERIVATIVE_NODES, _FEWER = 16, 4
 
 
 def always(accuracy: float) -> tuple[str, ...]:
@@ -47,6 +50,27 @@ def computed(names: Iterable[str], accuracy: float) -> tuple[str, ...]:
 def nodes_for(accuracy: float) -> int:
     """Number of nodes of a panel; one more gait than that is integrated to check it."""
     return _NODES + round(-math.log10(accuracy))
+
+
+def is_charted(slopes: int, span: float) -> bool:
+    """Whether polynomials may give the derivatives of gaits: a line has several times
+    as many slopes as they take.
+
+    Parameters
+    ----------
+    slopes : int
+        Of the line.
+    span : float
+        Its range of ln slope.
+    """
+    return slopes >= _FEWER * charted_from(span)
+
+
+def charted_from(span: float) -> int:
+    """Number of slopes of a range of ln slope, of so many gaits, whose derivatives
+    polynomials take.
+    """
+    return (math.ceil(span) + 1) * (2 * DERIVATIVE_NODES + 1)
 
 
 def significant_bits(accuracy: float) -> int:

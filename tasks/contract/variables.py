@@ -49,6 +49,11 @@ def _dimensions(units: str) -> tuple[int, ...]:
 _DIMENSIONS = {kind: _dimensions(units) for kind, units in SI_UNITS.items()}
 
 
+def units_of(kind: str, si: bool) -> str:
+    """CF units of a kind of quantity, in SI (`si`) or in consistent units."""
+    return SI_UNITS[kind] if si or kind == "angle" else "1"
+
+
 @dataclass(frozen=True)
 class Variable:
     """One archive variable: name, dimensions after the axes, kind of quantity, meaning,
@@ -98,7 +103,7 @@ class Variable:
 
     def units(self, si: bool) -> str:
         """CF units of this variable for a walker in SI (`si`) or in consistent units."""
-        return SI_UNITS[self.kind] if si or self.kind == "angle" else "1"
+        return units_of(self.kind, si)
 
 
 #: Variables of a grid study, and assumptions with their limits, in the order in which

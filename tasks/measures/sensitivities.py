@@ -17,15 +17,20 @@ from functools import partial
 import numpy as np
 
 from gaitsweep.tasks.branches.conditions import Condition
-from gaitsweep.tasks.branches.equations import Equations, Keys, sensitivity
+from gaitsweep.tasks.branches.equations import (
+    DIFFERENCE,
+    Equations,
+    Keys,
+    sensitivity,
+)
 from gaitsweep.tasks.branches.joint import Evaluation
 from gaitsweep.tasks.contract.registry import BY_KEY, SENSITIVITIES, VARIABLES
 from gaitsweep.tasks.gaits.polish import Polished
 from gaitsweep.tasks.measures.levels import measures, measures_at
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait
+from gaitsweep.tasks.mechanics.lumped import constants_of, general_structure_of
 from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.walkers.resolve import walkers_over
 from gaitsweep.tasks.walkers.walker import (
     BOUNDS,
     DIFFERENTIATED,
@@ -48,9 +53,14 @@ class _Stencil:
     weights: np.ndarray
     step: float
 
+    def finer(self, factor: float) -> _Stencil:
+        """Return the stencil with a step so many times as small."""
+        return replace(self, step=self.step / factor)
+
 
 #: Where a function is defined on both sides: gaits may depend on a key a hundred times
-#: as much as on its length. And beyond a least value, of a mass or a radius.
+#: as much as on its length. And beyond a least value, of a mass or a radius; without
+#: that value itself, where measures have other formulas.
 _CENTRAL = _Stencil(
     np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0]),
     np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 60,
@@ -61,6 +71,18 @@ _FORWARD = _Stencil(
     np.array([-147.0, 360.0, -450.0, 400.0, -225.0, 72.0, -10.0]) / 60,
     1e-3,
 )
+_BEYOND = _Stencil(
+    np.arange(1.0, 7.0),
+    np.array([-522.0, 1755.0, -2540.0, 1980.0, -810.0, 137.0]) / 60,
+    1e-4,
+)
+#: Weights of seven values side by side in their sixth difference; the largest of
+#: constants that are smooth, and their largest change, over their size but for small
+#: ones. Where one is larger, steps are made ten times as small, so often.
+_SIXTH = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])
+_SMOOTH, _LEAST_CONSTANT = 1e-12, 1e-3
+_CHANGED, _LEAST_CHANGED = 2e-2, 1.0
+_TIMES_FINER = 7
 
 SLOPE, _RADIUS = "slope", "spectral_radius"
 Measured = dict[str, np.ndarray]
@@ -105,19 +127,53 @@ class KeyOfWalker:
         raise WalkerError(self.name, self.value, why)
 
     def unknown(self, problem: Problem) -> Keys:
-        """The key as an unknown of the gaits of a problem's walker.
+        """The key as an unknown of the gaits of a problem's walker, with a difference
+        over which the walkers' constants are smooth.
 
         Raises
         ------
         WalkerError
-            If there is no walker beside its own, or those beside it have gaits with
-            other unknowns, as feet without mass have.
+            If there is no walker beside its own, those beside it have gaits with other
+            unknowns, as feet without mass have, or they do not tend to it.
+
+        Notes
+        -----
+        A walker enters the equations of motion by its lumped constants alone. Those of
+        the swing leg are over its inertia about the hip, so that the limit in which its
+        mass vanishes is regular where only the shank's does. Where another key gives
+        legs without mass their inertia, or a torque acts between them, constants jump
+        there or grow without bound.
         """
         keys = Keys.of_one(self.name, self.walker_at, *self.range)
         if keys.structure.dimension != problem.structure.dimension:
             why = "is special: gaits of the walkers beside it have other unknowns"
             raise WalkerError(self.name, self.value, why)
-        return keys
+
+        structure = general_structure_of(self.walker_at(*keys.ordinary))
+        for factor in 10.0 ** np.arange(_TIMES_FINER):
+            finer = replace(keys, difference=keys.difference / factor)
+            places = np.arange(7.0) if self.is_least(finer) else np.arange(-3.0, 4.0)
+            values = self.value + places * self.stencil(finer).step * keys.scale[0]
+            walkers = [self.walker_at(value) for value in values.tolist()]
+            constants = constants_of(WalkerArray.of(walkers), structure)
+            if _are_smooth(constants):
+                return finer
+        why = "is special: walkers beside it, however near, do not tend to its own"
+        raise WalkerError(self.name, self.value, why)
+
+    def stencil(self, keys: Keys) -> _Stencil:
+        """By which gaits are differentiated by the key."""
+        finer = DIFFERENCE / keys.difference
+        if not self.is_least(keys):
+            return _CENTRAL.finer(finer)
+        ordinary = self.walker_at(*keys.ordinary)
+        is_limit = self.walker_at(self.value).massless_leg > ordinary.massless_leg
+        return (_BEYOND if is_limit else _FORWARD).finer(finer)
+
+    def is_least(self, keys: Keys) -> bool:
+        """Whether walkers below its value are not all there that differences take."""
+        step = _CENTRAL.step * keys.difference / DIFFERENCE
+        return self.value + _CENTRAL.places[0] * step * keys.scale[0] < keys.low[0]
 
     def _are_walkers(self, low: float, high: float) -> bool:
         try:
@@ -132,6 +188,17 @@ class KeyOfWalker:
 _LEAST = {name: least for name, (least, _) in BOUNDS.items()} | {"foot_mass_ratio": 0.0}
 #: How often the range of a key is made a tenth.
 _TRIALS = 6
+
+
+def _are_smooth(values: np.ndarray) -> bool:
+    """Whether functions (c, 7) at places side by side are smooth, and change little."""
+    size = np.abs(values).max(axis=1)
+    changed = values.max(axis=1) - values.min(axis=1)
+    with np.errstate(invalid="ignore", over="ignore"):
+        sixth = np.abs(values @ _SIXTH)
+    is_smooth = sixth <= _SMOOTH * np.maximum(size, _LEAST_CONSTANT)
+    is_near = changed <= _CHANGED * np.maximum(size, _LEAST_CHANGED)
+    return bool((is_smooth & is_near).all())
 
 
 def _size(name: str, walker: Walker) -> float:
@@ -196,6 +263,22 @@ class Rows:
             of_jacobian = derivatives[len(smooth) :]
             shaped = of_jacobian.reshape(*jacobian.shape[:2], *of_jacobian.shape[1:])
             found[_RADIUS] = _radius_moved(jacobian, shaped)
+        return {name: found[name] for name in self.names}
+
+    def sizes(self, values: np.ndarray) -> np.ndarray:
+        """Return the sizes of rows, or of their derivatives, shape (r, ...): entries of
+        the step map's derivative count by the largest of them, and by one at least.
+        """
+        sizes = np.abs(values)
+        entries = sizes[len(self.smooth) :]
+        if len(entries):
+            entries[:] = np.maximum(1.0, entries.max(axis=0))
+        return sizes
+
+    def of_names(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """Return whether measures are, where rows, bool (r, ...), are."""
+        found = dict(zip(self.smooth, rows, strict=False))
+        found[_RADIUS] = rows[len(self.smooth) :].all(axis=0)
         return {name: found[name] for name in self.names}
 
 
@@ -266,21 +349,18 @@ class _Neighbourhood:
         Raises
         ------
         WalkerError
-            If there is no walker beside its own, or those beside it have gaits with
-            other unknowns, as feet without mass have.
+            As `KeyOfWalker.unknown` does.
         """
         keys = key.unknown(self.problem)
         equations = Equations(keys).over(self.problem.drive)
         scale = keys.scale[0]
         own = np.full((1, self.Z.shape[1]), key.value / scale)
-        lowest = key.value + _CENTRAL.places[0] * _CENTRAL.step * scale
-        stencil = _FORWARD if lowest < keys.low[0] else _CENTRAL
         both = _differences(
             self._equations_and_measures,
             equations,
             np.vstack([self.Z, own]),
             len(self.Z),
-            stencil,
+            key.stencil(keys),
         )
         residual, measures = np.split(both, [len(self.Z) - 1])
         return self._in_all(residual, measures) / scale
@@ -384,14 +464,20 @@ def measures_among(want: Sequence[str], walker: Walker) -> tuple[str, ...]:
     return tuple(name for name in wanted if name in of_walker)
 
 
-def by_all_keys(problem: Problem, Z: Coordinates, rows: Rows) -> np.ndarray:
-    """Return the derivatives of rows by each of `DIFFERENTIATED`, shape (r, keys, n);
-    NaN by keys beside whose values walkers are of another kind.
+def by_all_keys(
+    problem: Problem,
+    Z: Coordinates,
+    rows: Rows,
+    names: Sequence[str] = DIFFERENTIATED,
+) -> np.ndarray:
+    """Return the derivatives of rows by `DIFFERENTIATED`, or some of these, shape (r,
+    keys, n); NaN by keys beside whose values walkers are of another kind.
     """
-    by_keys, _ = _at_gaits(problem, Z, _keys_of(problem.walker), rows)
+    keys = [key for key in _keys_of(problem.walker) if key.name in names]
+    by_keys, _ = _at_gaits(problem, Z, keys, rows)
     some = next(iter(by_keys.values()))
     nowhere = np.full(some.shape, np.nan)
-    return np.stack([by_keys.get(key, nowhere) for key in DIFFERENTIATED], axis=1)
+    return np.stack([by_keys.get(name, nowhere) for name in names], axis=1)
 
 
 def sizes_of_keys(walker: Walker, slope: np.ndarray) -> np.ndarray:
@@ -448,9 +534,8 @@ def _beside(walker: Walker, key: str, values: np.ndarray) -> WalkerArray:
 
 def _keys_of(walker: Walker) -> list[KeyOfWalker]:
     """The keys by which a walker's gaits are differentiated, besides the slope."""
-    line = {"walker": walker.table(), "set": {}}
     return [
-        KeyOfWalker(key, getattr(walker, key), walkers_over(line, key))
+        KeyOfWalker(key, getattr(walker, key), partial(walker.having, key))
         for key in (*OF_PASSIVE[1:], *walker.driving_keys)
     ]
 

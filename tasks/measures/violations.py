@@ -511,12 +511,12 @@ def measure(
     which the released foot may be pushed but not pulled, without friction, while the
     new contact holds.
     """
-    chain = Chain(walker)
     n = len(slope)
     begins = np.vstack([np.zeros((1, n)), times[:-1]])
     parts: list[Arrays] = []
     for k in range(0, max(n, 1), _BLOCK):
         lanes = slice(k, k + _BLOCK)
+        chain = Chain(walker.some(lanes))
         pushed = None if push is None else push.some(lanes)
         with np.errstate(invalid="ignore"):
             phases = [

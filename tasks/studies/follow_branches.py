@@ -21,6 +21,7 @@ from gaitsweep.tasks.branches.special_points import RATES, record, special_point
 from gaitsweep.tasks.branches.tracking import correct
 from gaitsweep.tasks.contract.status import over
 from gaitsweep.tasks.contract.tables import Arrays, nothing, stacked, table
+from gaitsweep.tasks.contract.variables import units_of
 from gaitsweep.tasks.gaits.multipliers import multipliers
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures import violations
@@ -30,7 +31,7 @@ from gaitsweep.tasks.step.drive import HIP_TORQUE
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
 from gaitsweep.tasks.studies.followed import columns_along, followed_over
-from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import KEYS, Walker
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Columns of the tables `branches` and `special_points`, with the slope where it
@@ -41,7 +42,7 @@ COLUMNS = (
 )
 SPECIAL = ("branch", "kind", "slope", "stance_angle", *RATES, "period", "error_bound")
 #: Columns of the table `special_sensitivities`.
-DERIVATIVES = ("branch", "kind", "slope", "key", "slope_by_key")
+DERIVATIVES = ("branch", "kind", "slope", "key", "key_units", "slope_by_key")
 #: Largest number of points between two nodes; a window that needs more is too narrow.
 _MAX_PARTS = 65536
 #: Walkers of different torques that are measured at once.
@@ -78,7 +79,7 @@ def branch(
         `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate,
         shank_rate, period, error_bound), in the walker's units; `along` takes the place
         of the slope. Where these are wanted `special_sensitivities` (branch, kind, slope,
-        key, slope_by_key).
+        key, key_units, slope_by_key).
     """
     problem, unit = followed_over(params, int(params.get("steps", 1)))
     window = np.array([params["slope_from"], params["slope_to"]], float)
@@ -207,7 +208,8 @@ def _derivatives(
             condition = CONDITIONS[point["condition"]]
             by_keys = slope_by_keys(problem, condition, np.array(point["Z"]))
             for key, by_key in by_keys.items():
-                yield number, point["kind"], point["slope"], key, by_key
+                units = units_of(KEYS[key], problem.walker.si)
+                yield number, point["kind"], point["slope"], key, units, by_key
 
 
 def contact_lost(

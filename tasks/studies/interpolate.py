@@ -186,6 +186,7 @@ def fit_panels(
     nodes: int,
     good: float,
     narrowest: float = 0.0,
+    by_value: bool = False,
 ) -> list[list[Sheet]]:
     """Fit sheets over the panels of pieces that hold some slopes.
 
@@ -199,6 +200,8 @@ def fit_panels(
         Those of each panel: where they do not suffice it is halved.
     narrowest : float
         The least part of a panel.
+    by_value : bool
+        As for `fit_sheets`.
 
     Returns
     -------
@@ -218,7 +221,7 @@ def fit_panels(
         covered = q[piece.covered(q)]
         panels += panels_over(k, *piece.q, piece.folds, covered, nodes)
     sheets: list[list[Sheet]] = [[] for _ in pieces]
-    for k, sheet in fit_sheets(panels, solve, good, is_needed):
+    for k, sheet in fit_sheets(panels, solve, good, is_needed, by_value):
         sheets[k].append(sheet)
     for of_piece in sheets:
         of_piece.sort(key=lambda sheet: sheet.span.bounds)

@@ -376,6 +376,10 @@ class Walker:
         changes: dict[str, Any] = {key: value}
         return replace(self, **changes)
 
+    def some(self, lanes: Any) -> Walker:
+        """Return the walker of some lanes, which all share it."""
+        return self
+
     @property
     def has_hip_torque(self) -> bool:
         """Whether anything acts between the thighs."""

@@ -60,12 +60,12 @@ class WalkerArray(Walker):
                 keys[key] = value[lane].item()
         return Walker(**keys)
 
-    def some(self, lanes: np.ndarray) -> WalkerArray:
+    def some(self, lanes: np.ndarray | slice) -> WalkerArray:
         """Return some of the walkers.
 
         Parameters
         ----------
-        lanes : ndarray of int, shape (k,)
+        lanes : ndarray of int, shape (k,), or slice
         """
         keys = self.table()
         for key, value in keys.items():

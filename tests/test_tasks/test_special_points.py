@@ -138,10 +138,25 @@ def _special(walker, window, **keys):
     tables = branch({**params, "sensitivities": True}, [atlas(params, [])])
     rows = [tables[f"special_sensitivities/{name}"] for name in DERIVATIVES]
     slopes, by_key = {}, {}
-    for _, kind, slope, key, value in zip(*rows, strict=True):
+    for _, kind, slope, key, _, value in zip(*rows, strict=True):
         slopes.setdefault(kind, []).append(slope)
         by_key.setdefault((kind, key), []).append(value)
     return {kind: [*dict.fromkeys(every)] for kind, every in slopes.items()}, by_key
+
+
+def test_derivatives_of_special_points_have_units_and_none_where_limits_are_singular():
+    """Massless legs with round feet have no derivative by what would be their only
+    inertia; gaits' tables tell why.
+    """
+    line = {"walker": "D", "set": {"R": 0.1}}
+    params = {"line": line, "slope_from": 0.005, "slope_to": 0.1, "n": 2}
+    tables = branch({**params, "sensitivities": True}, [atlas(params, [])])
+
+    values = tables["special_sensitivities/slope_by_key"]
+    keys = set(tables["special_sensitivities/key"].tolist())
+    assert len(values) and np.isfinite(values).all()
+    assert {"m_s", "w_s", "R"} <= keys and not keys & {"r_t", "c_t", "w_t"}
+    assert set(tables["special_sensitivities/key_units"].tolist()) == {"1", "rad"}
 
 
 #: The walker, the window, kinds, and keys with their steps; one key has its least value.
