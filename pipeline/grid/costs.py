@@ -110,7 +110,7 @@ def _of_derivatives(study: Study, method: Method) -> float:
         single.append(POINTS["violations differentiated"])
     if not is_charted(study, method):
         return _total(study, single)
-    sampled = charted_from(span(study)) / len(study.slope)
+    sampled = charted_from(span(study)) / len(study.values_along)
     return sampled * _total(study, single) + _total(study, [POINTS["charted"]])
 
 

@@ -67,7 +67,7 @@ def is_interpolated(study: Study) -> bool:
 
 def is_charted(study: Study, method: Method) -> bool:
     """Whether polynomials over slopes may give the derivatives of gaits."""
-    down = study.slope[study.slope > 0]
+    down = study.values_along[study.values_along > 0]
     if method is not Method.LONG or not len(down):
         return False
     return accuracy.is_charted(len(down), span(study))
@@ -75,7 +75,7 @@ def is_charted(study: Study, method: Method) -> bool:
 
 def span(study: Study) -> float:
     """Range of ln slope of a study, of the slopes that lead down."""
-    down = study.slope[study.slope > 0]
+    down = study.values_along[study.values_along > 0]
     return float(np.log(down.max() / down.min()))
 
 
