@@ -390,18 +390,31 @@ def survey_lines(problem: Lanes, tolerance: float = FINE) -> list[list[Branch]]:
     for Z, lines in _gaits_at_anchors(problem):
         new = _unknown(branches, lines, Z)
         if len(new):
-            _add_branches(problem, branches, lines[new], Z[:, new], tolerance)
+            follow_gaits(problem, branches, lines[new], Z[:, new], tolerance)
     return [ranked(of_line) for of_line in branches]
 
 
-def _add_branches(
+def follow_gaits(
     problem: Lanes,
     branches: list[list[Branch]],
     lines: ndarray,
     Z: Coordinates,
     tolerance: float,
 ) -> None:
-    """Follow gaits Z (c, n) of lines (n,), and add to the branches those not yet known."""
+    """Follow gaits, and add to the branches of their lines those not yet known.
+
+    Parameters
+    ----------
+    problem : Lanes
+        Of one lane for each line.
+    branches : list of list of Branch
+        Of each line.
+    lines : ndarray of int, shape (n,)
+        The gaits' lines, in order.
+    Z : ndarray, shape (c, n)
+    tolerance : float
+        FINE or COARSE.
+    """
     tracks = follow(problem.some(lines), Z)
     turn = np.arange(len(lines)) - np.searchsorted(lines, lines)
     if len(lines) < _FEW:

@@ -155,8 +155,8 @@ def gaits_at(
 def nearest_on_branches(
     problem: Problem, branches: Sequence[Branch], y: Sections, within: PerLane
 ) -> list[tuple[PerLane, Gaits, np.ndarray]]:
-    """Return the gaits of every branch that lie nearest to given sections, their slopes,
-    and how they change with these.
+    """Return the gaits of every branch that lie nearest to given sections, the drives at
+    which they are, and how they change with these.
 
     Parameters
     ----------
@@ -169,9 +169,9 @@ def nearest_on_branches(
 
     Returns
     -------
-    list of (slope, gaits, changes)
-        For each branch; NaN where none is so near. `changes` (3, n) of the states are by
-        ln slope, to some ten digits.
+    list of (drive, gaits, changes)
+        For each branch; NaN where none is so near. The drive is the slope as the problem
+        counts it, and `changes` (3, n) of the states are by its ln, to some ten digits.
     """
     target = np.vstack([np.log(y[:1]), y[1:] / y[0]])
     found = []
@@ -183,15 +183,15 @@ def nearest_on_branches(
         reached = np.flatnonzero(ended == Ended.CONVERGED)
 
         lanes = near[reached]
-        slope = np.full(y.shape[1], np.nan)
+        drive = np.full(y.shape[1], np.nan)
         gaits = Gaits.none(y.shape[1])
         w = along.Z[:-1, reached]
         q = along.Z[-1, reached]
-        slope[lanes] = np.exp(q)
+        drive[lanes] = np.exp(q)
         gaits.put(lanes, described(problem, w, q))
         changes = np.full_like(gaits.state, np.nan)
         changes[:, lanes] = along.changes(reached)
-        found.append((slope, gaits, changes))
+        found.append((drive, gaits, changes))
     return found
 
 
@@ -242,7 +242,8 @@ class _Along:
         onto, tangent = self._directions(lanes)
         left = self.target[:, lanes] - self.Z[:m, lanes] - onto[:m]
         along = _projected(left, tangent[:m])
-        is_far = self._is_far(lanes, left - tangent[:m] * along, onto, along)
+        moves = tangent * along
+        is_far = self._is_far(lanes, left - moves[:m], onto, moves)
 
         along = np.clip(along, -_LONGEST, _LONGEST)
         step = np.vstack([onto, np.zeros_like(along)]) + tangent * along
@@ -299,13 +300,13 @@ class _Along:
         lanes: np.ndarray,
         beside: np.ndarray,
         onto: np.ndarray,
-        along: np.ndarray,
+        moves: np.ndarray,
     ) -> np.ndarray:
         """Whether the target lies beside the branch by more than is of interest, and than
-        the curvature over the step may explain.
+        the curvature over the moves along it may explain.
         """
         largest = np.abs(self.target[:, lanes]).max(axis=0)
-        square = along**2 + np.abs(onto).max(axis=0) ** 2
+        square = np.abs(moves).max(axis=0) ** 2 + np.abs(onto).max(axis=0) ** 2
         allowed = self.within[lanes] * largest + _CURVED * square
         return np.asarray(np.abs(beside).max(axis=0) > allowed)
 

@@ -22,7 +22,7 @@ from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK, SimulatedSteps
 
 #: States that are solved for as gaits although no branch has one near.
-_SOLVED_WITHIN, _MOST_ITERATIONS = 0.3, 8
+SOLVED_WITHIN, _MOST_ITERATIONS = 0.3, 8
 
 
 def judge_gaits_beside_branches(case: Case) -> None:
@@ -30,7 +30,7 @@ def judge_gaits_beside_branches(case: Case) -> None:
     more than once: they return, and Newton's method goes from them to gaits.
     """
     lanes = _returning(case)
-    if not len(lanes) or case.claimed > 1:
+    if not len(lanes):
         return
     grounds = case.grounds.of(case.slopes(lanes))
     for some, problem, _, drive in grounds:
@@ -40,8 +40,7 @@ def judge_gaits_beside_branches(case: Case) -> None:
 def _returning(case: Case) -> Numbers:
     """Numbers of the rows without a verdict that come back to near themselves."""
     lanes = case.steppable
-    walks = case.outcome[lanes] == STRUCK
-    return lanes[walks & (case.missed[lanes] < _SOLVED_WITHIN)]
+    return lanes[case.missed_by_one[lanes] < SOLVED_WITHIN]
 
 
 def _judge_solved(case: Case, problem: Problem, lanes: Numbers, q: LogSlopes) -> None:
@@ -66,7 +65,7 @@ def close_returns(steps: SimulatedSteps, start: Sections) -> Numbers:
     """Numbers of the steps that end near where they began."""
     missed = relative_distance(steps.image, start)
     walks = steps.outcome == STRUCK
-    return np.flatnonzero(walks & (missed < _SOLVED_WITHIN))
+    return np.flatnonzero(walks & (missed < SOLVED_WITHIN))
 
 
 def solved_from(

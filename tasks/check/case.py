@@ -48,6 +48,8 @@ class Case:
     outcome, times, missed : ndarray, shape (n,), of times (phases, n)
         How the steps from the state end, when the events of the first come
         [sqrt(leg/g)], and by what the state misses itself after them, relative.
+    missed_by_one : ndarray, shape (n,)
+        By what the state misses itself after one step, relative.
     candidates : list of Gaits
         Gaits at the slopes of the rows, one of each in every set.
     nearest, distance, label, steps : Gaits, ndarray, shape (n,)
@@ -78,6 +80,7 @@ class Case:
         self.outcome = np.full(n, LOST)
         self.times = np.full((self.problem.phases, n), np.nan)
         self.missed = np.full(n, np.nan)
+        self.missed_by_one = np.full(n, np.nan)
 
         self.candidates = list[Gaits]()
         self.nearest = Gaits.none(n)
@@ -180,9 +183,10 @@ class Case:
             some = lanes[numbers == number]
             self.set_nearest(some, some_gaits(gaits, some))
 
-    def set_nearest(self, lanes: Numbers, gaits: Gaits) -> None:
-        """Make gaits, of k lanes, the nearest of some k rows."""
+    def set_nearest(self, lanes: Numbers, gaits: Gaits, steps: int = 1) -> None:
+        """Make gaits of so many steps, of k lanes, the nearest of some k rows."""
         self.nearest.put(lanes, gaits)
+        self.steps[lanes] = steps
         self.distance[lanes] = relative_distance(self.states(lanes), gaits.state)
         places, passes = gaits.place.tolist(), gaits.passes.tolist()
         for lane, place, times in zip(lanes.tolist(), places, passes, strict=True):

@@ -27,6 +27,7 @@ from gaitsweep.tasks.check.other_walkers import judge_walkers
 from gaitsweep.tasks.check.rows import Rows
 from gaitsweep.tasks.check.several_steps import judge_several_steps, take_steps
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 
 #: Relative distance up to which a gait is called near.
@@ -75,12 +76,15 @@ def check_states(params: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _judge_rest(case: Case) -> None:
-    """Say of all other rows how far the nearest gait is."""
-    lanes = case.open
+    """Say of all other rows how far the nearest gait is, and how steps from them end."""
+    lanes, walked = case.open, case.steppable
     near = case.distance[lanes] < _NEAR
     near_lanes = lanes[near]
     case.say("near", near_lanes, distance=case.distance[near_lanes])
     case.say("none", lanes[~near])
+    for lane in walked[case.outcome[walked] != STRUCK].tolist():
+        cause = CAUSES[case.outcome[lane]]
+        case.reason[lane] += f" Walked on, it has no heelstrike: {cause}."
 
 
 #: What is done with the rows that have no verdict yet, in this order.

@@ -11,7 +11,11 @@ from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.nearest import Gaits, gaits_at
 from gaitsweep.tasks.mechanics.arrays import Slopes
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.studies.solve_driven import branches_of, driven
+from gaitsweep.tasks.studies.solve_driven import (
+    branches_of,
+    branches_over_any_slope,
+    driven,
+)
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,20 @@ class Grounds:
             if drive:
                 counted = np.full(len(lanes), drive)
                 yield lanes, problem, branches_of(problem), counted
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether more than gravity drives the walker."""
+        return "drive" in self.problem.walker.features
+
+    def over_any_slope(self, slope: Slopes) -> tuple[Problem, list[Branch]]:
+        """Branches of a driven walker over slopes that lead uphill, too: those that go on
+        from downhill, and those through gaits at the steepest and gentlest of slopes (n,)
+        of which some may be 0 or below.
+        """
+        levels = slope[slope <= 0]
+        ends = {float(levels.min()), float(levels.max())} if len(levels) else {0.0}
+        return branches_over_any_slope(self.problem.walker, self.branches, sorted(ends))
 
     def gaits_at(self, slope: Slopes) -> list[Gaits]:
         """The gaits at slopes (n,), in as many sets as there are pieces of branches."""

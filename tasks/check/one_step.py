@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gaitsweep.tasks.check.case import CHANGED, Case
-from gaitsweep.tasks.check.rows import magnitudes
+from gaitsweep.tasks.check.rows import State, magnitudes
 from gaitsweep.tasks.mechanics.arrays import Numbers
 
 #: By how much more a state flown to the section may differ.
@@ -15,15 +15,23 @@ _FLOWN = 20.0
 def judge_gaits(case: Case) -> None:
     """Tell rows that are gaits of one step."""
     lanes = case.open
+    say_gaits(case, lanes[are_gaits(case, case.nearest.state[:, lanes], lanes)])
+
+
+def are_gaits(case: Case, gait: State, lanes: Numbers) -> np.ndarray:
+    """Whether some rows are gaits (3, k), to the tolerance."""
     factors = np.where(case.flown[lanes], _FLOWN, 1.0)
-    gait = case.nearest.state[:, lanes]
-    lanes = lanes[case.within(case.states(lanes), gait, lanes, factors)]
-    if case.claimed > 1:
-        case.say_period(lanes)
-        return
+    return case.within(case.states(lanes), gait, lanes, factors)
+
+
+def say_gaits(case: Case, lanes: Numbers) -> None:
+    """Tell rows that are the gaits nearest to them, after as many steps as claimed."""
+    is_claimed = case.steps[lanes] == case.claimed
+    case.say_period(lanes[~is_claimed])
+    lanes = lanes[is_claimed]
     case.say("gait", lanes)
     _tell_digits(case, lanes)
-    judge_shanks(case, lanes)
+    _judge_shanks(case, lanes)
 
 
 def _tell_digits(case: Case, lanes: Numbers) -> None:
@@ -43,16 +51,18 @@ def _digits(case: Case, lanes: Numbers) -> np.ndarray:
         return np.asarray(np.ceil(-np.log10(share.max(axis=0))))
 
 
-def judge_shanks(case: Case, lanes: Numbers) -> None:
-    """Tell rows that are gaits but for their free shank's rate."""
+def _judge_shanks(case: Case, lanes: Numbers) -> None:
+    """Tell rows that are gaits but for their shank's rate, of straight legs the thigh's."""
     has_rate = np.isfinite(case.rows.shank[1, lanes])
     lanes = lanes[has_rate & ~case.flown[lanes]]
-    if not case.walker.knees or not len(lanes):
+    if not len(lanes):
         return
     state = case.states(lanes)
-    problem = case.general.some(lanes)
-    sections = case.sections(lanes, state)
-    given = problem.start(sections, case.slopes(lanes))[3]
+    given = state[2]
+    if case.walker.knees:
+        problem = case.general.some(lanes)
+        sections = case.sections(lanes, state)
+        given = problem.start(sections, case.slopes(lanes))[3]
     found = case.rows.shank[1, lanes]
 
     size = np.maximum(magnitudes(state)[2], np.abs(given))

@@ -7,59 +7,87 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.nearest import Gaits, nearest_on_branches
 from gaitsweep.tasks.check.case import CHANGED, Case, some_gaits
-from gaitsweep.tasks.check.one_step import judge_shanks
-from gaitsweep.tasks.check.rows import magnitudes
+from gaitsweep.tasks.check.one_step import say_gaits
+from gaitsweep.tasks.check.rows import magnitudes, relative_change
 from gaitsweep.tasks.mechanics.arrays import Numbers, Slopes
 from gaitsweep.tasks.mechanics.sums import total
+from gaitsweep.tasks.step.problem import Problem
 
 #: By how much more than states the sections of knees may differ, which are those before
 #: the impact.
 _BEFORE_IMPACT = 5.0
-#: Change of ln slope over which branches count as straight.
+#: Change of ln slope, and relative one of states, over which branches count as straight.
 _STRAIGHT = 0.02
 
 
 @dataclass
 class _OnBranch:
-    """The gaits (3, n) of a branch nearest to n states, NaN of none: at which slope, how
-    they change by its ln, and how much further along it is nearest by the tolerances.
+    """The gaits (3, n) of a branch nearest to n states, NaN of none: at which slope, as
+    their problem counts it, how they change by its ln, and how much further along it is
+    nearest by the tolerances.
     """
 
-    slope: Slopes
+    problem: Problem
+    counted: Slopes
     gaits: Gaits
     changes: np.ndarray
     along: np.ndarray
+
+    def slopes(self, along: np.ndarray) -> Slopes:
+        """Slopes (n,) [rad] so far along."""
+        return self.problem.slopes(self.counted * np.exp(along))
+
+    def up_to(self, slope: Slopes) -> np.ndarray:
+        """How far along slopes (n,) are; none where the branch has no such slope."""
+        base = self.problem.drive.at_slope or 0.0
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.log(slope - base) - np.log(self.counted))
 
 
 def judge_rounded_slopes(case: Case) -> None:
     """Tell rows that are gaits of the slope that was rounded to theirs, of one above 0
     that was rounded to 0 too.
     """
-    rounding, slope = case.rows.slope_rounding, case.rows.slope
+    rounding = case.rows.slope_rounding
+    slope = case.rows.slope
     lanes = case.steppable
-    is_rounded = rounding[lanes] > case.rows.tolerance * slope[lanes]
-    lanes = lanes[is_rounded & (slope[lanes] + rounding[lanes] > 0)]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        low = np.log(np.maximum(slope - rounding, 0.0))
-        high = np.log(slope + rounding)
-    for found in _on_branches(case, lanes):
-        q = np.log(found.slope)
-        along = np.clip(q + found.along, low[lanes], high[lanes]) - q
+    is_rounded = rounding[lanes] > case.rows.tolerance * np.abs(slope[lanes])
+    lanes = lanes[is_rounded]
+
+    downhill = lanes[slope[lanes] + rounding[lanes] > 0]
+    _judge_rounded(case, downhill, _on_branches(case, downhill))
+
+    lanes = lanes[case.verdict[lanes] == ""]
+    uphill = lanes[slope[lanes] - rounding[lanes] <= 0]
+    _judge_rounded(case, uphill, _on_any_ground(case, uphill))
+
+
+def _judge_rounded(case: Case, lanes: Numbers, every: Iterator[_OnBranch]) -> None:
+    """Tell rows that are gaits of slopes that may have been rounded to theirs, from the
+    nearest of each branch.
+    """
+    rounding = case.rows.slope_rounding[lanes]
+    slope = case.slopes(lanes)
+    for found in every:
+        low = found.up_to(slope - rounding)
+        high = found.up_to(slope + rounding)
+        low[np.isnan(low)] = -np.inf
+        along = np.clip(found.along, low, high)
+
         are = _are(case, found, along, lanes, 1.0)
         case.set_nearest(lanes[are], some_gaits(found.gaits, np.flatnonzero(are)))
-        if case.claimed > 1:
-            case.say_period(lanes[are])
-            continue
-        case.say("gait", lanes[are])
-        _tell_slopes(case, lanes[are], np.exp(q + along)[are])
-        judge_shanks(case, lanes[are])
+        say_gaits(case, lanes[are])
+        _tell_slopes(case, lanes[are], found.slopes(along)[are])
 
 
 def _tell_slopes(case: Case, lanes: Numbers, belong: np.ndarray) -> None:
     """Say of gaits from which slope theirs may have been rounded."""
     for lane, to in zip(lanes, belong, strict=True):
+        if case.verdict[lane] != "gait":
+            continue
         digits = f"{case.rows.slope[lane]:.6g}, which may have been {to:.6g}"
         case.reason[lane] = f"A gait to the digits of its slope, {digits}."
 
@@ -67,47 +95,76 @@ def _tell_slopes(case: Case, lanes: Numbers, belong: np.ndarray) -> None:
 def judge_slopes(case: Case) -> None:
     """Tell rows that are gaits of another slope."""
     lanes = case.steppable
-    for found in _on_branches(case, lanes):
-        are = _are(case, found, found.along, lanes, CHANGED)
-        slope = found.slope * np.exp(found.along)
-        case.say_slope(lanes[are], slope[are])
+    _judge_slopes(case, lanes, _on_branches(case, lanes))
     _judge_level(case, lanes)
+
+    lanes = case.steppable
+    own = case.nearest.state[:, lanes]
+    is_own = case.within(case.states(lanes), own, lanes, CHANGED)
+    others = lanes[~is_own]
+    _judge_slopes(case, others, _on_any_ground(case, others))
+
+
+def _judge_slopes(case: Case, lanes: Numbers, every: Iterator[_OnBranch]) -> None:
+    """Tell rows that are the gaits nearest to them on branches, at any slope."""
+    for found in every:
+        are = _are(case, found, found.along, lanes, CHANGED)
+        slopes = found.slopes(found.along)
+        case.say_slope(lanes[are], slopes[are])
 
 
 def _are(
     case: Case, found: _OnBranch, along: np.ndarray, lanes: Numbers, factor: float
 ) -> np.ndarray:
     """Which of some rows without a verdict are the gaits found, so far along."""
-    is_straight = np.abs(along) <= _STRAIGHT
-    gait = found.gaits.state + along * found.changes
+    moved = along * found.changes
+    # Slopes counted from far below change less than states.
+    way = np.fmax(np.abs(along), relative_change(moved, found.gaits.state))
+    is_straight = way <= _STRAIGHT
+    gait = found.gaits.state + moved
     are = case.within(case.states(lanes), gait, lanes, factor)
     return np.asarray(are & is_straight & (case.verdict[lanes] == ""))
 
 
 def _on_branches(case: Case, lanes: Numbers) -> Iterator[_OnBranch]:
-    """The gaits nearest to some rows on each branch, at any slope."""
-    if not len(lanes):
-        return
+    """The gaits nearest to some rows on each branch over slopes above 0."""
+    if len(lanes):
+        yield from _nearest(case, lanes, case.problem, case.branches)
+
+
+def _on_any_ground(case: Case, lanes: Numbers) -> Iterator[_OnBranch]:
+    """The gaits of driven walkers nearest to some rows on each branch over slopes that
+    lead uphill, too.
+    """
+    if len(lanes) and case.grounds.is_driven:
+        problem, branches = case.grounds.over_any_slope(case.rows.slope)
+        yield from _nearest(case, lanes, problem, branches)
+
+
+def _nearest(
+    case: Case, lanes: Numbers, problem: Problem, branches: list[Branch]
+) -> Iterator[_OnBranch]:
+    """The gaits nearest to some rows on each of some branches, at any slope."""
     state = case.states(lanes)
-    y = case.sections(lanes, state)[: case.problem.m]
+    y = case.sections(lanes, state)[: problem.m]
     within = CHANGED * case.relative_tolerance(lanes)
     if case.walker.knees:
         within *= _BEFORE_IMPACT
-    allowed = case.rows.tolerance * magnitudes(state) + case.rows.table_digit[:, lanes]
-    for slope, gaits, changes in nearest_on_branches(
-        case.problem, case.branches, y, within
-    ):
+
+    digits = case.rows.table_digit[:, lanes]
+    allowed = case.rows.tolerance * magnitudes(state) + digits
+    for counted, gaits, changes in nearest_on_branches(problem, branches, y, within):
         moves = changes / allowed
         with np.errstate(invalid="ignore", divide="ignore"):
             products = moves * (state - gaits.state) / allowed
             along = total(products) / total(moves**2)
-        yield _OnBranch(slope, gaits, changes, along)
+        yield _OnBranch(problem, counted, gaits, changes, along)
 
 
 def _judge_level(case: Case, lanes: Numbers) -> None:
     """Tell rows that are gaits of level ground."""
     lanes = lanes[case.slopes(lanes) != 0]
-    if "drive" not in case.walker.features or not len(lanes):
+    if not case.grounds.is_driven or not len(lanes):
         return
     level = np.zeros(len(lanes))
     for gaits in case.grounds.gaits_at(level):

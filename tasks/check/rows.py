@@ -138,7 +138,12 @@ def magnitudes(state: State) -> np.ndarray:
     return np.array([np.abs(state[0]), rate, rate])
 
 
-@np.errstate(invalid="ignore", divide="ignore")
 def relative_distance(state: State, gait: State) -> np.ndarray:
     """Largest difference of a coordinate of states (3, n), relative to the gaits'."""
-    return np.asarray((np.abs(state - gait) / magnitudes(gait)).max(axis=0))
+    return relative_change(state - gait, gait)
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def relative_change(change: np.ndarray, state: State) -> np.ndarray:
+    """Largest of changes (3, n) of coordinates, relative to states (3, n)."""
+    return np.asarray((np.abs(change) / magnitudes(state)).max(axis=0))

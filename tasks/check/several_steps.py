@@ -1,40 +1,56 @@
-"""Steps taken from states, and the rule of gaits that repeat after several."""
+"""Steps taken from states, and the rules of gaits that repeat after several."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from gaitsweep.tasks.branches.nearest import described
+from gaitsweep.tasks.check.beside_branches import SOLVED_WITHIN
 from gaitsweep.tasks.check.case import Case, some_gaits
+from gaitsweep.tasks.check.one_step import are_gaits, say_gaits
 from gaitsweep.tasks.check.rows import relative_distance
 from gaitsweep.tasks.gaits.newton import newton
+from gaitsweep.tasks.gaits.step_check import verify_steps
 from gaitsweep.tasks.mechanics.arrays import LogSlopes, Marks, Numbers, Unknowns
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.step.several_steps import joined
+from gaitsweep.tasks.step.sameness import SOONER
+from gaitsweep.tasks.step.several_steps import distances_of_steps, joined
 from gaitsweep.tasks.step.simulate import STRUCK, stride
 
 #: Most steps after which a state is looked for again.
 MOST_STEPS = 8
-#: What a state may miss itself by after some steps, relative, to be tried as a gait of
-#: so many.
+#: What a state may miss itself by after steps that are not claimed, relative, to be tried
+#: as a gait of so many.
 _RETURNS = 0.05
 
 
 def take_steps(case: Case) -> None:
-    """Take the steps after which the states are held to repeat."""
+    """Take the steps after which the states are held to repeat, and tell rows that are
+    gaits of so many, which are more than one.
+    """
     lanes = case.steppable
     if not len(lanes):
         return
-    slope, problem = case.slopes(lanes), case.general.some(lanes)
-    start = case.sections(lanes, case.states(lanes))
-    steps = stride(problem, start, slope)
-    case.times[:, lanes] = steps.times
-    image, outcome = steps.image, steps.outcome
-    for _ in range(case.claimed - 1):
-        steps = stride(problem, image, slope)
-        image, outcome = steps.image, np.maximum(outcome, steps.outcome)
+    slope = case.slopes(lanes)
+    problem = case.general.some(lanes)
+    sections = [case.sections(lanes, case.states(lanes))]
+    times = list[np.ndarray]()
+
+    outcome = np.full(len(lanes), STRUCK)
+    for _ in range(case.claimed):
+        steps = stride(problem, sections[-1], slope)
+        sections.append(steps.image)
+        times.append(steps.times)
+        outcome = np.maximum(outcome, steps.outcome)
+
+    start, first, *_ = sections
+    case.times[:, lanes] = times[0]
     case.outcome[lanes] = outcome
-    case.missed[lanes] = relative_distance(image, start)
+    case.missed_by_one[lanes] = relative_distance(first, start)
+    case.missed[lanes] = relative_distance(sections[-1], start)
+    returns = case.missed[lanes] < SOLVED_WITHIN
+    if case.claimed > 1 and returns.any():
+        _judge_cycles(case, lanes[returns], case.claimed, sections, times, returns)
 
 
 def judge_several_steps(case: Case) -> None:
@@ -82,18 +98,28 @@ def _judge_cycles(
 def _judge_cycles_of(
     case: Case, problem: Problem, lanes: Numbers, w: Unknowns, q: LogSlopes
 ) -> None:
-    """Tell rows that are gaits of several steps, by Newton's method from points w
-    (c - 1, k) at values of ln drive.
+    """Tell rows that are gaits of several steps and no fewer, by Newton's method from
+    points w (c - 1, k) at values of ln drive.
     """
     steps = problem.steps
     w, converged = newton(problem, w, q)
-    lanes = lanes[converged]
-    gaits = described(problem, w[:, converged], q[converged])
-    are = case.within(case.states(lanes), gaits.state, lanes)
-    lanes = lanes[are]
-    case.set_nearest(lanes, some_gaits(gaits, np.flatnonzero(are)))
-    case.steps[lanes] = steps
-    if steps == case.claimed:
-        case.say("gait", lanes)
-    else:
-        case.say_period(lanes)
+    sooner = distances_of_steps(w, problem.m, steps)
+    solved = np.flatnonzero(converged & (sooner > SOONER).all(axis=0))
+    if not len(solved):
+        return
+
+    lanes = lanes[solved]
+    w = w[:, solved]
+    q = q[solved]
+    gaits = described(problem, w, q)
+    _, check = verify_steps(problem, w, q)
+    gaits.passes[:] = check.leg_passes
+
+    is_nearer = (
+        relative_distance(case.states(lanes), gaits.state) < case.distance[lanes]
+    )
+    are = are_gaits(case, gaits.state, lanes)
+    told = are | is_nearer if steps == case.claimed else are
+    told &= check.step & ~check.doubt
+    case.set_nearest(lanes[told], some_gaits(gaits, np.flatnonzero(told)), steps)
+    say_gaits(case, lanes[told & are])

@@ -123,6 +123,8 @@ class Drive:
         followed.
         """
         low, high = _WINDOWS[self.key]
+        if self.key == SLOPE and self.at_slope is not None:
+            return max(low, -SLOPES[1] - self.at_slope), high - self.at_slope
         unit = self._size(walker)
         return low * unit, high * unit
 

@@ -12,6 +12,10 @@ import numpy as np
 
 #: Two gaits that Newton's method solved at one slope.
 SAME_GAIT = 1e-6
+#: Sections of a gait of several steps, over the first angle: one whose sections differ by
+#: no more repeats after fewer steps. Beside a flip, two sections that are `a` apart are
+#: solved to some 1e-15/a**2, so that nearer ones are not resolved.
+SOONER = 1e-5
 #: A solved gait and the polynomial of a branch, also a coarse one near a fold.
 ON_BRANCH = 1e-4
 #: Points that were located from two sides, or in two ways, or but coarsely.

@@ -33,7 +33,7 @@ from gaitsweep.tasks.orbits.walk import Walk
 from gaitsweep.tasks.step.drive import SLOPE
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.step.sameness import SAME_GAIT, SAME_POINT
+from gaitsweep.tasks.step.sameness import SAME_GAIT, SAME_POINT, SOONER
 from gaitsweep.tasks.step.several_steps import (
     distance,
     distances_of_steps,
@@ -58,9 +58,8 @@ _MAX_STEP = 1.0
 _POLISHED = 60
 #: Most points of a branch on which no event is found.
 _MAX_POINTS = 400
-#: Distance of a gait's sections from each other, over the first angle, beyond which it
-#: does not repeat sooner; difference of the ln slopes of one fold.
-_APART, _SAME_SLOPE = 1e-5, 1e-9
+#: Difference of the ln slopes of one fold.
+_SAME_SLOPE = 1e-9
 #: How far beyond the window a branch is followed, in ln slope.
 _MARGIN = 0.05
 #: Columns of the tables.
@@ -365,7 +364,7 @@ def _solved(problem: Problem, w: Unknowns, slope: Slopes) -> list[Point]:
     m, n = problem.m, problem.steps
     q = np.log(slope)
     w, converged = newton(problem, w, q, max_step_by_iteration=(_MAX_STEP,))
-    exact = (distances_of_steps(w, m, n) > _APART).all(axis=0)
+    exact = (distances_of_steps(w, m, n) > SOONER).all(axis=0)
     kept: list[int] = []
     for i in np.flatnonzero(converged & exact).tolist():
         beside = [k for k in kept if q[k] == q[i]]

@@ -8,7 +8,7 @@ on them.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.contract.tables import Arrays
 from gaitsweep.tasks.mechanics.kernel import is_compact
 from gaitsweep.tasks.step.drive import HIP_TORQUE, PUSH_OFF, SLOPE, Drive
-from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.studies.follow_cycles import cycle_branches
 from gaitsweep.tasks.studies.followed import followed_over
 from gaitsweep.tasks.walkers.walker import Walker
@@ -29,6 +29,9 @@ from gaitsweep.tasks.walkers.walker import Walker
 #: Lines whose branches are remembered: those of one walker and slope, whatever the
 #: drive.
 _REMEMBERED = 32
+#: The slope from which those of all grounds are counted, and one at which gaits are
+#: followed from downhill to level ground [rad].
+_LOWEST, _GENTLE = -1.0, 1e-5
 
 
 def driven(walker: Walker, slope: float, steps: int = 1) -> tuple[Problem, float]:
@@ -73,6 +76,46 @@ def _branches(walker: Walker, drive: Drive, steps: int, compact: bool) -> list[B
     if steps == 1:
         return single
     return cycle_branches(problem, single, steps)
+
+
+def branches_over_any_slope(
+    walker: Walker, downhill: Sequence[Branch], levels: Sequence[float]
+) -> tuple[Problem, list[Branch]]:
+    """Return branches of a driven walker's gaits over slopes that lead downhill, level
+    and uphill, and their problem: those through its gaits at some slopes.
+
+    Parameters
+    ----------
+    walker : Walker
+    downhill : sequence of Branch
+        Its branches over slopes above 0, through which these go on below.
+    levels : sequence of float [rad]
+        Slopes of 0 and below, whose gaits are followed, too.
+    """
+    drive = Drive(SLOPE, _LOWEST)
+    line = Lanes([walker], drive.structure(walker), drive)
+    Z = [*_counted(downhill, _GENTLE, _GENTLE)]
+    for slope in levels:
+        problem, driving = driven(walker, slope)
+        if driving:
+            Z += _counted(branches_of(problem), driving, slope)
+
+    found: list[list[Branch]] = [[]]
+    if Z:
+        numbers = np.zeros(len(Z), int)
+        atlases.follow_gaits(line, found, numbers, np.array(Z).T, COARSE)
+    return Problem(walker, drive=drive), atlases.ranked(found[0])
+
+
+def _counted(
+    branches: Sequence[Branch], drive: float, slope: float
+) -> Iterator[ndarray]:
+    """Gaits (c,) of branches at a value of what drives, with their slope counted from the
+    lowest.
+    """
+    for branch in branches:
+        for _, Z, _ in branch.guesses(np.log([drive])):
+            yield np.append(Z[:-1, 0], np.log(slope - _LOWEST))
 
 
 def searched(problem: Problem) -> str:

@@ -68,9 +68,9 @@ PROOF_ACCURACY = 1e-12
 _surveyed: OrderedDict[tuple[str, float, bool], list[Branch]] = OrderedDict()
 _MAX_SURVEYED = 128
 #: So are the latest points of lines that others differ from only in their units, which
-#: chunks of one study have in common.
+#: chunks of one study have in common, up to a number of lines and of bytes.
 _solved: OrderedDict[tuple[Any, ...], tuple[list[Branch], Arrays]] = OrderedDict()
-_MAX_SOLVED = 16
+_MAX_SOLVED, _MAX_BYTES = 16, 64 << 20
 
 
 def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -159,8 +159,9 @@ def solve_line(
         return _on_any_ground(line, walker, branches, request, is_level)
     keys = scales(walker, line) if request.is_converted else ()
     if keys:
-        plain = solve_line(plain_line(line, keys), branches, request)
-        return _converted(plain, walker, plain_line(line, keys))
+        plain = plain_line(line, keys)
+        own = _solve_on(plain, branches, request)
+        return _converted(own, walker, plain)
 
     problem = Problem(walker, request.steps)
     polynomials = None
@@ -349,9 +350,35 @@ def _solve_plain(
         if name not in found:
             found[name] = _solved[key]
         _solved[key] = found[name]
-    while len(_solved) > _MAX_SOLVED:
-        _solved.popitem(last=False)
+    _forget()
     return found
+
+
+def _solve_on(
+    line: Mapping[str, Any], branches: list[Branch], request: Request
+) -> Arrays:
+    """Solve a line whose branches are known, reusing it if it was solved on them before."""
+    atlas = tuple(branch.Z.tobytes() for branch in branches)
+    key = (repr(line), atlas, is_compact(), *request.key)
+    if key not in _solved:
+        _solved[key] = branches, solve_line(line, branches, request)
+    _, points = _solved[key]
+    _forget()
+    return points
+
+
+def _forget() -> None:
+    """Forget the points that were solved first, where there are many."""
+    sizes = [
+        sum(values.nbytes for values in points.values())
+        for _, points in _solved.values()
+    ]
+    total = sum(sizes)
+    for size in sizes:
+        if len(_solved) <= _MAX_SOLVED and total <= _MAX_BYTES:
+            break
+        _solved.popitem(last=False)
+        total -= size
 
 
 def _converted(points: Arrays, walker: Walker, line: Mapping[str, Any]) -> Arrays:

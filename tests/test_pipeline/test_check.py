@@ -9,6 +9,14 @@ import pytest
 
 import gaitsweep
 from gaitsweep.pipeline.cli import commands
+from gaitsweep.tasks.branches.nearest import described
+from gaitsweep.tasks.check import several_steps
+from gaitsweep.tasks.check.case import Case
+from gaitsweep.tasks.check.grounds import Grounds
+from gaitsweep.tasks.check.rows import Rows
+from gaitsweep.tasks.gaits.newton import newton
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.resolve import resolve
 
 NAMES = ("stance_angle", "stance_rate", "thigh_rate")
 SLOPE = 0.03
@@ -359,6 +367,82 @@ def test_gaits_whose_legs_pass_three_times_are_found_beside_the_branches(
     assert row["distance"] < 1e-11 and not row["stable"]
     assert (changed["verdict"], changed["gait"]) == ("near", "passes_3_times")
     assert changed["distance"] == pytest.approx(1e-5, rel=1e-3)
+
+
+@pytest.mark.parametrize("steps", [2, 3, 8])
+def test_a_gait_of_one_step_beside_the_branches_is_none_of_several(steps):
+    """It was one of any number: all of its steps solve their equations."""
+    state = [0.3378646946395741, -1.1317728430271727, -0.7748042835683868]
+
+    row = judged([state], "A", 0.03, steps=steps)
+
+    assert (row["verdict"], row["steps"]) == ("period", 1)
+    assert row["reason"] == "Repeats after 1 step." and row["gait"] == "passes_3_times"
+
+
+@pytest.fixture(scope="module")
+def two_steps():
+    """A gait of two steps of C, with the rate of its free shank, at slope 0.085."""
+    names = (*NAMES, "shank_rate")
+    found = gaitsweep.gaits("C", 0.085, variables=[*names], steps=2).sel(gait="long")
+    return {name: float(found[name]) for name in names}
+
+
+@pytest.mark.thorough
+def test_the_rate_of_a_free_shank_is_compared_in_gaits_of_several_steps(two_steps):
+    moved = gaitsweep.simulate("C", 0.085, [two_steps[name] for name in NAMES], 2)
+    after = [float(moved[name].values[2]) for name in NAMES]
+    np.testing.assert_allclose(after, [two_steps[name] for name in NAMES], rtol=1e-8)
+    straight = two_steps | {"shank_angle": -two_steps["stance_angle"]}
+
+    wrong = straight | {"shank_rate": two_steps["shank_rate"] * 1.01}
+    right, changed = (judged(table, "C", 0.085, steps=2) for table in (straight, wrong))
+
+    assert (right["verdict"], right["steps"]) == ("gait", 2)
+    assert changed["verdict"] == "shank_rate"
+    assert f"gives it {two_steps['shank_rate']:.6g}" in changed["reason"]
+
+
+@pytest.mark.parametrize("steps", [1, 2])
+def test_a_straight_leg_has_one_rate(steps):
+    state = dict(zip(NAMES, gait_of("B", 0.0165, steps=steps), strict=True))
+    shank = {"shank_angle": -state["stance_angle"], "shank_rate": state["thigh_rate"]}
+
+    right = judged(state | shank, "B", 0.0165, steps=steps)
+    shank["shank_rate"] *= 1.01
+    wrong = judged(state | shank, "B", 0.0165, steps=steps)
+
+    assert (right["verdict"], wrong["verdict"]) == ("gait", "shank_rate")
+
+
+def test_a_state_near_a_gait_of_as_many_steps_as_claimed_is_near_that():
+    state = gait_of("B", 0.0165, steps=2) * [1.001, 1, 1]
+
+    row = judged([state], "B", 0.0165, steps=2)
+
+    assert (row["verdict"], row["steps"]) == ("near", 2)
+    assert row["distance"] == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_a_solution_of_two_steps_that_are_none_is_no_gait():
+    """Its second stance angle is negative: its foot strikes behind, and before it began."""
+    sections = [-3.5924881, 2.5630948, 2.5571984, -0.9980606, -2.5625015, -2.5561102]
+    guess = np.array([[*sections, 4.1115436, 2.8546666]]).T
+    q, lanes = np.log([0.08]), np.array([0])
+    problem = Problem(resolve("A", {}), 2)
+    w, solved = newton(problem, guess, q)
+    state = described(problem, w, q).state
+    assert solved.all() and np.abs(w[3] + 1).max() < 0.01
+
+    of_rows = dict(zip(NAMES, state, strict=True))
+    digits = dict.fromkeys(NAMES, np.zeros(1))
+    params = {"slope": [0.08], "convention": "gaitsweep", "tolerance": 1e-6}
+    params |= {"table": of_rows, "digits": digits, "sizes": digits, "rates": "scaled"}
+    rows = Rows.of(problem.walker, params)
+    case = Case(problem.walker, Grounds(problem.of_steps(1), []), rows, 2)
+    several_steps._judge_cycles_of(case, problem, lanes, w, q)
+
+    assert case.verdict.tolist() == [""]
 
 
 def _rounded(values, digits):
@@ -820,6 +904,46 @@ def test_the_ground_is_told_on_which_a_driven_walker_is_a_gait():
     wrong = gaitsweep.check({**table, "slope": [0.02, 0.0]}, "B", **keys)
     assert wrong["verdict"].tolist() == ["slope", "slope"]
     assert wrong["belongs_to_slope"].tolist() == pytest.approx([0.0, 0.02], rel=1e-9)
+
+
+@pytest.mark.parametrize("given", [0.01, 0.0, -0.003])
+@pytest.mark.parametrize("slope", [-0.005, -0.0002])
+def test_the_slope_uphill_to_which_a_state_belongs_is_told(slope, given):
+    keys = {"push_off": 0.1}
+    states = [gait_of("B", slope, label, **keys) for label in ("long", "short")]
+
+    found = gaitsweep.check(states, "B", given, **keys)
+
+    assert found["verdict"].tolist() == ["slope"] * 2
+    assert found["belongs_to_slope"].tolist() == pytest.approx([slope] * 2, rel=1e-9)
+
+
+@pytest.mark.thorough
+def test_the_slope_uphill_of_a_walker_with_knees_is_told():
+    keys = {"hip_torque": 0.02}
+    row = judged([gait_of("C", -0.0003, **keys)], "C", 0.01, **keys)
+    assert row["belongs_to_slope"] == pytest.approx(-0.0003, rel=1e-9)
+
+
+def test_a_slope_uphill_may_have_been_rounded_to_level_ground_too():
+    keys = {"push_off": 0.1}
+    slope = np.array([-0.0034567, -0.0000034])
+    found = gaitsweep.gaits("B", slope, variables=[*NAMES], **keys).sel(gait="short")
+    states = {name: np.round(found[name].values, 5) for name in NAMES}
+
+    rounded = gaitsweep.check({**states, "slope": [-0.00346, 0.0]}, "B", **keys)
+
+    assert rounded["verdict"].tolist() == ["gait", "gait"]
+    assert "which may have been -0.003456" in rounded["reason"][0]
+
+
+def test_how_steps_from_a_state_end_is_told():
+    """This walker steps neither from a slow start nor from a gait's mirror image."""
+    row = judged([[0.3, -0.1, -0.1]], "D", 0.009)
+    said = "Walked on, it has no heelstrike: fell backward."
+    assert row["verdict"] == "none" and row["reason"].endswith(said)
+    mirrored = judged([[-0.3, -0.1, -0.1]], "D", 0.009)
+    assert "Walked on" not in mirrored["reason"]
 
 
 def test_a_gait_of_two_steps_on_level_ground_is_told():

@@ -286,6 +286,64 @@ def test_an_axis_of_g_costs_no_step(walker):
     assert solved(0.02, g=g) < 1.01 * of_one
 
 
+def test_an_axis_of_g_over_many_slopes_costs_no_step():
+    """Lines of a study that are solved one by one, and the bytes of one alone."""
+    slopes = np.geomspace(1e-3, 0.07, 400)
+    atlas = solve_points.atlas({"line": {"walker": "B", "set": {}}}, [])
+    request = {"slope": slopes, "want": WANT}
+    lines = [{"walker": "B", "set": {"g": g}} for g in (2.0, 3.0, 5.0, 9.0)]
+
+    def points(line):
+        return solve_points.points({**request, "line": line}, [atlas])
+
+    solve_points._solved.clear()
+    of_one = work(lambda: points(lines[0]))
+    of_others = work(lambda: [points(line) for line in lines[1:]])
+    beside = points(lines[2])
+    solve_points._solved.clear()
+    alone = points(lines[2])
+
+    assert of_one > 0 and of_others == 0
+    for name, values in alone.items():
+        nan = values.dtype.kind == "f"
+        assert np.array_equal(beside[name], values, equal_nan=nan), name
+
+
+def test_points_of_other_branches_are_not_taken_for_a_lines():
+    """A coarse atlas has gaits to other last digits than a fine one."""
+    line = {"walker": "B", "set": {"g": 3.0}}
+    fine, coarse = (
+        solve_points.atlas({"line": line, "coarse": is_coarse}, [])
+        for is_coarse in (False, True)
+    )
+    request = {"slope": np.array([0.01, 0.02]), "want": ["period"], "line": line}
+
+    solve_points._solved.clear()
+    for atlas in (fine, coarse, fine):
+        solve_points.points(request, [atlas])
+
+    assert len(solve_points._solved) == 2
+
+
+def test_points_that_are_remembered_have_a_limit(monkeypatch):
+    atlas = solve_points.atlas({"line": {"walker": "B", "set": {}}}, [])
+    line = {"walker": "B", "set": {"g": 3.0}}
+
+    def points(low):
+        slopes = np.geomspace(low, 0.07, 400)
+        return solve_points.points(
+            {"slope": slopes, "want": ["period"], "line": line}, [atlas]
+        )
+
+    solve_points._solved.clear()
+    size = sum(values.nbytes for values in points(1e-3).values())
+    monkeypatch.setattr(solve_points, "_MAX_BYTES", int(2.5 * size))
+    for low in (2e-3, 3e-3, 4e-3):
+        points(low)
+
+    assert len(solve_points._solved) == 2
+
+
 def test_two_axes_that_only_scale_cost_no_step():
     masses = np.linspace(1.0, 3.0, 12)[:, None]
     g = np.linspace(2.0, 9.0, 12)[None]
