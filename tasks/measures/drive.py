@@ -13,6 +13,8 @@ from gaitsweep.tasks.mechanics.contact import Chain, solve
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.walkers.walker import Walker
 
+#: Intervals of each phase whose ends give the loss in the damper to 1e-12 of itself.
+DAMPING_SAMPLES = 64
 #: Weights of samples at equal distances over an interval of length one, by which
 #: polynomials of their degree are integrated exactly; by the number of samples.
 _WEIGHTS: dict[int, ndarray] = {}

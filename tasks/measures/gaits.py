@@ -23,6 +23,7 @@ from gaitsweep.tasks.gaits.polish import Polished
 from gaitsweep.tasks.gaits.step_check import gait_ratio
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.measures.drive import (
+    DAMPING_SAMPLES,
     PushOff,
     damping_loss,
     hip_torque_work,
@@ -589,7 +590,7 @@ class Steps:
         if walker.has_hip_torque:
             damped = np.zeros(len(end))
             if np.any(walker.hip_damping):
-                damped = damping_loss(walker, self.motion(), self.times)
+                damped = damping_loss(walker, self._motion_alone(), self.times)
             losses["loss_damping"] = damped * unit
         return losses
 
@@ -603,6 +604,14 @@ class Steps:
             distances.
         """
         return [part * self.scale for part in self._fine.one.motion]
+
+    def _motion_alone(self) -> list[np.ndarray]:
+        """Samples of the motion as `motion` has them, fewer, flown without derivatives."""
+        parameters = self.problem.parameters(self.slope, self.scale)
+        motion = self.problem.step.motion(
+            self.y / self.scale, self.times, parameters, DAMPING_SAMPLES
+        )
+        return [part * self.scale for part in motion]
 
     @cached_property
     def _fine(self) -> Stride | Strides:

@@ -352,6 +352,42 @@ class StrideMap:
             motion=motion,
         )
 
+    def motion(
+        self, y: Sections, times: Times, parameters: Parameters, samples: int
+    ) -> Motion:
+        """Sample steps without their derivatives, at a small share of the cost.
+
+        Parameters
+        ----------
+        y : ndarray, shape (m, n)
+            Scaled section coordinates.
+        times : ndarray, shape (k, n) [sqrt(leg/g)]
+            The heelstrike time, or (kneestrike, heelstrike).
+        parameters : ndarray, shape (n_parameters, n)
+        samples : int
+            Equal intervals of each phase.
+
+        Returns
+        -------
+        list of ndarray, shape (samples + 1, angles, n)
+            Scaled angles and rates of each phase.
+        """
+        options = False, samples, False
+        start, D = self._begin(y, parameters, False)
+        phase = _Phase(
+            self.structure, start, D[:, :0], parameters, times[0], self.m + 1
+        )
+        motion = []
+        if self.kneed:
+            end, motion_of_free = _integrate(phase, *options)
+            motion.append(motion_of_free)
+            state, *_ = self._kneestrike(end, parameters)
+            phase = self._locked_phase(state, False, parameters, times)
+            phase = phase._replace(D=phase.D[:, :0])
+        _, motion_of_locked = _integrate(phase, *options)
+
+        return [*motion, motion_of_locked]
+
     def _locked_phase(
         self, state: States, slope: bool, parameters: Parameters, times: Times
     ) -> _Phase:
