@@ -5,6 +5,7 @@ A table stands below a comment that names it, as `<!-- options of grid -->` or `
 garcia -->`.
 """
 
+import argparse
 import json
 import re
 from collections.abc import Iterator, Mapping
@@ -78,5 +79,6 @@ def filled(text: str) -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")

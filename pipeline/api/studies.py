@@ -227,7 +227,9 @@ def _study(
     try:
         table = toml.read(wanted)
     except ValueError as error:
-        raise StudyError(f"The study cannot be read: {error}.") from error
+        wrong = StudyError(f"The study cannot be read: {error}.")
+        toml.note_place(wrong, wanted, error)
+        raise wrong from error
     return parse.parse(table, wanted, Path("study"), accuracy)
 
 

@@ -25,8 +25,8 @@ def gravest(codes: Iterable[int]) -> int:
 
 
 def say(error: Exception, debug: bool) -> int:
-    """Print an error on one line, with `debug` below its traceback; returns its exit
-    code.
+    """Print an error on one line and its notes below, with `debug` below its traceback;
+    returns its exit code.
     """
     if debug:
         traceback.print_exception(error)
@@ -39,7 +39,8 @@ def say(error: Exception, debug: bool) -> int:
         known = unwritten(Path(), limit)
 
     internal = f"Internal error, {described(error)}; --debug shows where."
-    terminal.say(f"gaitsweep: {known or internal}")
+    notes = getattr(known, "__notes__", [])
+    terminal.say("\n".join([f"gaitsweep: {known or internal}", *notes]))
     return known.exit_code if known else 2
 
 

@@ -133,16 +133,16 @@ def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
     dict
         `study`, `archive`, `points` of the grid; of these (of the lines, in studies of
         other kinds) how many are `new`, `changed` (failures that are tried again
-        included) and `cached`; `not_wanted`, names of variables and tasks; `flown`,
-        about how many points are integrated; `seconds` of work for one core; and
-        `tasks`, the counts of each.
+        included) and `cached`; `omitted`, names of variables and tasks that the study
+        does not want; `integrated`, about how many points are; `seconds` of work for
+        one core; and `tasks`, the counts of each.
     """
     study = planned.study
     main = "points" if study.kind == "grid" else study.kind
     new, every = counts.todo[main]["new"], counts.todo[main].total()
-    flown = 0
+    integrated = 0
     if main == "points":
-        flown = costs.integrated(study, every, planned.graph.method)
+        integrated = costs.integrated(study, every, planned.graph.method)
     tasks = {
         name: {**todo, "cached": counts.cached[name]}
         for name, todo in counts.todo.items()
@@ -154,8 +154,8 @@ def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
         "new": new,
         "changed": every - new,
         "cached": counts.cached[main],
-        "not_wanted": _omitted(planned),
-        "flown": flown,
+        "omitted": _omitted(planned),
+        "integrated": integrated,
         "seconds": counts.seconds,
         "tasks": tasks,
     }

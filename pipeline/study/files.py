@@ -116,7 +116,9 @@ def read_toml(
     try:
         return text, toml.read(text, number)
     except ValueError as error:
-        raise unreadable(shown, error) from error
+        wrong = unreadable(shown, error)
+        toml.note_place(wrong, text, error)
+        raise wrong from error
 
 
 def walker(

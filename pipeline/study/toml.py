@@ -20,6 +20,12 @@ _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(
     rf"(?:^|(?<=[\s\[{{,])){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_MOST_LEVELS}}}"
 )
+#: Where an error of tomllib says that it arose.
+_PLACE = re.compile(
+    r"\(at (?:line (?P<line>\d+), column (?P<column>\d+)|end of document)\)$"
+)
+#: Characters that are shown on either side of such a place.
+_AROUND = 60
 
 
 def read(text: str, number: Callable[[str], Any] = float) -> dict[str, Any]:
@@ -50,6 +56,28 @@ def read(text: str, number: Callable[[str], Any] = float) -> dict[str, Any]:
     if level:
         raise ValueError(too_deep)
     return table
+
+
+def note_place(error: Exception, text: str, cause: Exception) -> None:
+    """Add to an error the line of a TOML text at which its `cause` arose, with a caret
+    below the column, as a note; none where that has no place.
+    """
+    place = _PLACE.search(str(cause))
+    if not place:
+        return
+    lines = text.split("\n")
+    if place["line"]:
+        number, column = int(place["line"]), int(place["column"])
+    else:  # at the end of the document
+        number = len(text.rstrip().split("\n"))
+        column = len(lines[number - 1].rstrip()) + 1
+
+    first = max(0, column - 1 - _AROUND)
+    shown = lines[number - 1][first : column - 1 + _AROUND]
+    plain = "".join(c if c.isprintable() else " " for c in shown)
+    head = f"  {number} | "
+    caret = " " * (column - 1 - first) + "^"
+    error.add_note(f"{head}{plain.rstrip()}\n{'| ':>{len(head)}}{caret}")
 
 
 def written(value: Any, key: str = "") -> str:

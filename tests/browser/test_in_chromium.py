@@ -149,10 +149,14 @@ def test_a_page_prints(visit, name):
 
 def test_small_text_of_figures_stays_legible_on_a_phone(visit):
     browser = visit("transition", 390)
-    size = """Math.min(...[...document.querySelectorAll('.plot')].map(plot =>
-        parseFloat(getComputedStyle(plot.querySelector('text')).fontSize) * plot.clientWidth / plot.dataset.width))"""
-    # Larger letters would collide in a figure that fits the screen, as all do.
-    assert ask(browser, size) > 8
+    least = """[...document.querySelectorAll('.plot')].flatMap(plot => [...plot.querySelectorAll('svg text')]
+        .filter(text => parseFloat(text.style.fontSize) ARG)
+        .map(text => parseFloat(getComputedStyle(text).fontSize) * plot.clientWidth / plot.dataset.width))"""
+    # Larger letters would collide in a figure that fits the screen, as all do; so would
+    # notes on curves and degrees, if they were as large as titles and numbers.
+    large, small = (least.replace("ARG", which) for which in (">= 9", "< 9"))
+    assert ask(browser, f"Math.min(...{large})") > 8
+    assert ask(browser, f"Math.min(...{small})") > 6.5
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -395,6 +399,18 @@ def test_figures_fit_a_phone(opened, report, page):
         "return [...document.querySelectorAll('.plot')].map(p => p.getBoundingClientRect().right)"
     )
     assert widths and max(widths) <= 390
+
+
+@pytest.mark.parametrize("page", ["transition", "detuning"])
+def test_words_of_a_figure_and_its_legend_fit_a_phone(opened, report, page):
+    browser = opened(report / f"{page}.html", 390)
+    words = "[...document.querySelectorAll('.plot svg text, .plot p.told span')]"
+    shown = f"{words}.map(t => t.getBoundingClientRect()).filter(b => b.width)"
+    assert ask(browser, f"{shown}.filter(b => b.left < 0 || b.right > 390).length") == 0
+    # Below the figure, not in it; on a wide page the other way round.
+    heights = "['svg .told', 'p.told'].map(s => document.querySelector(s).getBoundingClientRect().height > 0)"
+    assert ask(browser, heights) == [False, True]
+    assert ask(opened(report / f"{page}.html", 1280), heights) == [True, False]
 
 
 def test_on_paper_a_figure_stands_with_its_heading_and_provenance_is_left_out(

@@ -1707,3 +1707,32 @@ def test_residuals_that_are_rounding_are_printed_as_zero(capsys):
     assert re.search(r"^leg_offset +0$", capsys.readouterr().out, re.M)
     assert commands.main(["walkers", "C-printed"]) == 0
     assert re.search(r"^shank_offset +-?0.000351\d*$", capsys.readouterr().out, re.M)
+
+
+def test_a_plan_for_machines_has_the_names_that_the_docs_tell(tmp_path, capsys):
+    path = tmp_path / "s.toml"
+    path.write_text(
+        'name = "s"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\n'
+        '[want]\nvariables = ["stance_angle"]\n'
+    )
+    assert commands.main(["plan", str(path), "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    (record,) = record if isinstance(record, list) else [record]
+
+    docs = Path(__file__).parents[2] / "docs" / "studies.md"
+    told = docs.read_text(encoding="utf-8").partition("`--json` gives a record")[2]
+    told = told.partition("Where a file")[0]
+    assert set(re.findall("`([a-z]+)`", told)) == set(record)
+    assert record["points"] == record["new"] == record["integrated"] == 2
+    assert "scaling" in record["omitted"] and record["seconds"] > 0
+
+
+def test_a_command_shows_the_place_of_an_error_in_a_study(tmp_path, capsys):
+    path = tmp_path / "s.toml"
+    path.write_text('name = "s"\nwalker = E\n')
+    assert commands.main(["plan", str(path)]) != 0
+    first, *place = capsys.readouterr().err.splitlines()
+    assert first.endswith(
+        "s.toml cannot be read: Invalid value (at line 2, column 10)."
+    )
+    assert place == ["  2 | walker = E", "    |          ^"]

@@ -219,7 +219,7 @@ def test_a_figure_shows_itself_in_a_notebook_and_can_be_saved(mine, tmp_path):
         gaitsweep.figure(path, "loglgo")
     with pytest.raises(
         ArchiveError,
-        match=r"mine.nc has no figure basin: the archive holds nothing to draw it from\.$",
+        match=r"mine.nc has no figure basin: the archive has no outcomes of initial conditions\.$",
     ):
         gaitsweep.figure(path, "basin")
 

@@ -435,9 +435,32 @@ def test_a_list_of_allowed_names_is_whole(write):
 def test_a_study_that_is_no_toml_is_shown_its_line(write):
     with pytest.raises(
         StudyError,
-        match=r"s\.toml cannot be read: Expected ']' .* \(at line 2, column 6\)\.$",
+        match=r"s\.toml cannot be read: Expected ']' .* \(at line 2, column 6\)\.",
     ):
         parse.read(write('name = "s"\n[axes\nslope = [0.1]\n'))
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "caret"),
+    [
+        ('name = "s"\n[axes\nslope = [0.1]\n', "  2 | [axes", "    |      ^"),
+        ('name = "s"\r\n\twalker = E\r\n', "  2 |  walker = E", "    |           ^"),
+        ('name = "s"\nx = [1, 2\n\n', "  2 | x = [1, 2", "    |          ^"),
+        ('name = "s"\nx = 1\nx = 2\n', "  3 | x = 2", "    |      ^"),
+        ("x = 1 " + "#" * 200 + "\ny = " + "1" * 200 + "z", "  2 | " + "1" * 60 + "z", "    | " + " " * 60 + "^"),
+    ],
+)  # fmt: skip
+def test_below_the_error_of_a_toml_a_caret_shows_its_place(write, text, line, caret):
+    with pytest.raises(StudyError, match=r"s\.toml cannot be read: ") as error:
+        parse.read(write(text))
+    (note,) = error.value.__notes__
+    assert note.split("\n") == [line, caret]
+
+
+def test_what_is_no_error_of_a_place_shows_none(write):
+    with pytest.raises(StudyError) as error:
+        parse.read(write('name = "s"\n' + DEEP["header"]))
+    assert not hasattr(error.value, "__notes__")
 
 
 DEEP = {

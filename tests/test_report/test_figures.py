@@ -37,7 +37,7 @@ from gaitsweep.pipeline.report.figures.style import (
     style,
     title_of,
 )
-from gaitsweep.pipeline.report.figures.svg import TARGETS
+from gaitsweep.pipeline.report.figures.svg import TARGETS, key
 from gaitsweep.pipeline.report.source import read
 from gaitsweep.pipeline.report.words import WORDS, plain, sentences, spaced
 from lines import some
@@ -74,6 +74,32 @@ def test_each_figure_is_drawn_from_its_archive(sources, study, name):
     assert sum(len(one["rows"]) for one in drawing.targets) <= TARGETS
 
 
+def test_the_legend_stands_in_words_too_for_narrow_pages(sources):
+    drawing = draw(sources["transition"], "loglog", "test")
+    legend = drawing.svg[drawing.svg.index('class="told"') :]
+    written = re.findall(r"<text[^>]*>([^<]*)</text>", legend)
+    told = [label for _, _, label in drawing.keys]
+    assert "short step" in told and set(told) <= set(written)
+    styles = {label: style for style, _, label in drawing.keys}
+    assert styles["short step"] == "border-top:1.4px dashed var(--ink)"
+    # What an earlier figure of the page has told is in neither.
+    again = draw(sources["transition"], "loglog", "test", told={*told})
+    assert again.keys == [] and 'class="told"' not in again.svg
+
+
+def test_markers_of_a_legend_are_characters_filled_or_hollow():
+    drawn = Sketch("loglog", 200)
+    drawn.dot_key("fold", mfc="#ffffff")
+    drawn.dot_key("end", MUTED, "v")
+    drawn.dot_key("of no form", marker="h")
+    drawn.draw_legend(set())
+    assert [key(line) for line in drawn.legend] == [
+        ("color:var(--ink)", "○", "fold"),
+        ("color:var(--muted)", "▼", "end"),
+        ("color:var(--ink)", "●", "of no form"),
+    ]
+
+
 #: Figures for which the archive of a cascade has all data.
 _OF_CASCADE = ("bifurcation", "basin", "walker", "conditions", "parameters")
 
@@ -83,7 +109,8 @@ _OF_CASCADE = ("bifurcation", "basin", "walker", "conditions", "parameters")
     [name for name in FIGURES if name not in _OF_CASCADE],
 )
 def test_a_figure_whose_data_is_missing_is_not_drawn(sources, name):
-    with pytest.raises(Undrawn, match="^the archive holds nothing to draw it from$"):
+    absent = WORDS["figures"][name]["absent"]
+    with pytest.raises(Undrawn, match=f"^the archive has no {absent}$"):
         draw(sources["cascade"], name, "test")
 
 
@@ -624,7 +651,8 @@ def test_every_figure_has_its_words():
     # `check` is on the page of a command, no figure of a study.
     assert set(WORDS["figures"]) == {"all", "check", *FIGURES}
     assert all(
-        {"title", "caption", "alt"} <= set(WORDS["figures"][name]) for name in FIGURES
+        {"title", "caption", "alt", "absent"} <= set(WORDS["figures"][name])
+        for name in FIGURES
     )
 
 
@@ -1249,6 +1277,26 @@ def test_no_line_over_a_key_joins_curves_between_which_a_label_passes():
     assert goes_on.tolist() == [[True, True], [True, False], [True, True], [False] * 2]
     across = over_key._goes_on(angle.transpose(), "push_off").reshape(2, 4)
     assert (across == goes_on.T).all()
+
+
+def test_stability_ends_between_the_values_of_a_key_where_the_radius_is_1():
+    """The thick line ended at the last stable gait computed, up to a cell early."""
+    key = np.arange(1.0, 9.0)
+    radius = (key / 3.3) ** 2
+    radius[6:] = 0.5  # stable ones of another curve, to which no border leads
+    goes_on = ~np.isin(key, (6.0, 8.0))
+    columns = {"push_off": key, "stance_angle": 0.1 * key, "goes_on": goes_on}
+    stable = np.where(radius < 1, 1.0, 0.0)
+    curve = pd.DataFrame(columns | {"spectral_radius": radius, "stable": stable})
+
+    drawn = over_key._parts(curve)
+
+    (border,) = drawn[~drawn["push_off"].isin(key)].to_dict("records")
+    assert np.isclose(border["push_off"], 3.3, rtol=1e-12)
+    assert np.isclose(border["stance_angle"], 0.33, rtol=1e-12)
+    assert border["stable"] == 1 and border["spectral_radius"] == 1
+    gaps = drawn.index[drawn["stance_angle"].isna()].tolist()
+    assert drawn["push_off"].iloc[[i - 1 for i in gaps]].tolist() == [6.0, 8.0]
 
 
 @pytest.mark.parametrize("sizes", [(8, 8, 8, 8, 8, 8), (200, 90, 12)])

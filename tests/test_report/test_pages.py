@@ -1051,9 +1051,14 @@ def test_a_study_without_any_gait_has_a_page_that_says_so(tmp_path):
         [write(tmp_path / "none.nc", text, grid, coords, {"E": POINT})], tmp_path
     )
     text = Page(tmp_path / "none.html").text
-    assert (
-        text.count("the archive holds nothing to draw it from") == len(figures) - 1
-    )  # claims are shown in the ledger
+    reasons = re.findall("figure “(.*)”, but the archive has no (.*)[.]", text)
+    assert [name for name, _ in reasons] == [
+        name
+        for name in figures
+        if name != "claims"  # which the ledger shows
+    ]
+    over_axes = "quantity of gaits over two axes of several values"
+    assert dict(reasons)["heatmap"] == over_axes
     assert "Solver: 3 no gait" in text
 
 

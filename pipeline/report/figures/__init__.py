@@ -96,13 +96,13 @@ def sketch(source: Source, name: str, told: set[str]) -> Sketch:
     """
     drawn = FIGURES[name](source) if name in FIGURES else _of_package(source, name)
     if drawn is None:
-        raise Undrawn("the archive holds nothing to draw it from")
+        raise Undrawn(f"the archive has no {WORDS['figures'][name]['absent']}")
     drawn.draw_legend(told)
     add_degrees(drawn.figure)
     return drawn
 
 
-def _of_package(source: Source, name: str) -> Sketch | None:
+def _of_package(source: Source, name: str) -> Sketch:
     """Sketch a figure that another package draws."""
     try:
         plot = extensions.find("figures", name, Plot)
@@ -110,8 +110,9 @@ def _of_package(source: Source, name: str) -> Sketch | None:
         raise Undrawn(str(error)) from error
     if plot is None:
         raise Undrawn("there is no figure of that name")
-    if not {*plot.reads} <= {*source.grid.variables}:
-        return None
+    absent = [each for each in plot.reads if each not in source.grid.variables]
+    if absent:
+        raise Undrawn(f"the archive has no {' and no '.join(absent)}")
     drawn = Sketch(name, plot.height)
     try:
         data = pd.DataFrame(plot.draw(drawn.panels[0], source.grid))

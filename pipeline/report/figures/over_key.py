@@ -11,6 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.stability import add_borders
 from gaitsweep.pipeline.report.figures.style import MOST_COLOURS, draw_gait, inks
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import axis_values, symbol, with_unit
@@ -38,7 +39,7 @@ def over_key(source: Source) -> Sketch | None:
             known = curve[curve["stance_angle"].notna()]
             if known.empty:
                 continue
-            whole = _interrupted(curve.reset_index(drop=True))
+            whole = _parts(curve)
             draw_gait(
                 axes,
                 whole,
@@ -149,12 +150,17 @@ def _goes_on(angle: xr.DataArray, key: str) -> np.ndarray:
     return np.asarray(together.transpose(*angle.dims).values.ravel())
 
 
-def _interrupted(curve: pd.DataFrame) -> pd.DataFrame:
-    """A curve with a row without an angle after each gait that is its part's last."""
-    last = curve[~curve["goes_on"].astype(bool)]
-    gaps = last.assign(stance_angle=np.nan, stable=0.0)
-    gaps.index = gaps.index + 0.5
-    return pd.concat([curve, gaps]).sort_index().reset_index(drop=True)
+def _parts(curve: pd.DataFrame) -> pd.DataFrame:
+    """A curve with the borders of stability, which lie between gaits that are followed,
+    and a row without an angle after each gait that is its part's last.
+    """
+    is_last = ~curve["goes_on"].astype(bool)
+    numbers = is_last.shift(fill_value=False).cumsum()
+    parts = []
+    for _, part in curve.groupby(numbers, sort=False):
+        gap = part.tail(1).assign(stance_angle=np.nan, stable=0.0)
+        parts += [add_borders(part), gap]
+    return pd.concat(parts, ignore_index=True)
 
 
 def _command(source: Source, values: dict[str, Any], key: str, value: float) -> str:

@@ -83,6 +83,7 @@ class Sketch:
         self.marks: list[Marks] = []
         self.maps: list[Panel] = []
         self.keys: list[Any] = []
+        self.legend: list[Line2D] = []  # the keys that the figure itself tells
         self.last_key: dict[
             str, Any
         ] = {}  # points that stand last in the legend, if there are any
@@ -168,12 +169,15 @@ class Sketch:
         """Draw the legend, without what a page has told already; that of this figure is
         told from then on.
         """
-        if keys := [key for key in self.keys if key.get_label() not in told]:
-            self.figure.legend(
-                handles=keys, loc="outside upper left", ncols=self.texts.get("keys", 3)
+        self.legend = [key for key in self.keys if key.get_label() not in told]
+        if self.legend:
+            columns = self.texts.get("keys", 3)
+            drawn = self.figure.legend(
+                handles=self.legend, loc="outside upper left", ncols=columns
             )
+            drawn.set_gid("told")
         told |= {
-            *(str(key.get_label()) for key in keys),
+            *(str(key.get_label()) for key in self.legend),
             *(shorten(name) for name, _ in self.lines),
         }
 

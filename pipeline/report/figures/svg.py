@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 
 from gaitsweep.pipeline.report.figures.sketch import Marks, Panel, Sketch
 from gaitsweep.pipeline.report.figures.starts import START, rounded
-from gaitsweep.pipeline.report.figures.style import VARIABLES, thin, title_of
+from gaitsweep.pipeline.report.figures.style import PAPER, VARIABLES, thin, title_of
 from gaitsweep.pipeline.report.words import plain
 
 #: Points of a figure that show their values under the pointer.
@@ -30,9 +30,31 @@ _MAX_DOTS = 1500
 _MAX_THUMBNAIL = 30_000
 
 
+#: Markers as characters, filled and hollow.
+_CHARACTERS = {
+    "o": "●○",
+    "s": "■□",
+    "^": "▲△",
+    "v": "▼▽",
+    "<": "◀◁",
+    ">": "▶▷",
+    "D": "◆◇",
+    "d": "◆◇",
+    "*": "★☆",
+    "P": "✚",
+    "X": "✖",
+    "x": "×",
+    "+": "+",
+}
+
+
 @dataclass(frozen=True)
 class Drawing:
-    """A figure as the page shows it."""
+    """A figure as the page shows it.
+
+    `keys` repeat its legend in words that break into lines, for pages too narrow for
+    the drawn one: style of an entry's line or marker, its character, and its label.
+    """
 
     name: str
     title: str
@@ -46,6 +68,7 @@ class Drawing:
     small: str
     targets: list[dict[str, Any]]
     lines: list[tuple[str, str]]
+    keys: list[tuple[str, str, str]]
     panels: list[dict[str, Any]]
     axes: list[dict[str, Any]]
 
@@ -77,6 +100,7 @@ def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
         _thumbnail(figure, f"{salt}/{name}/small") if small else "",
         _targets(sketch.marks, height),
         sketch.lines,
+        [key(line) for line in sketch.legend],
         [_panel(k, sketch.maps, height) for k in range(len(sketch.maps))],
         [
             _frame(axes, height)
@@ -154,6 +178,8 @@ def _adapt(svg: str, decimals: int) -> str:
         svg,
     )
     svg = re.sub(r' id="line-(\d+)"', r' data-line="\1"', svg)
+    svg = svg.replace(' id="told"', ' class="told"')
+    svg = re.sub(r' transform="rotate\(-0 [^"]*\)"', "", svg)
     svg = re.sub(r" id=\"([A-Za-z_.0-9]+_\d+|image[0-9a-f]+)\"", "", svg).replace(
         "xlink:href", "href"
     )
@@ -247,6 +273,23 @@ def _starts(mark: Marks, rows: pd.DataFrame) -> dict[str, Any]:
         for row in rows[names].to_numpy(float)
     ]
     return {"starts": starts, **({"free": True} if mark.free else {})}
+
+
+def key(line: Line2D) -> tuple[str, str, str]:
+    """An entry of the legend in the page's own colours: its style, character and label."""
+    colour = str(line.get_color())
+    ink = f"var(--{VARIABLES[colour]})" if colour in VARIABLES else colour
+    label = str(line.get_label())
+
+    marker = str(line.get_marker())
+    if marker != "None":
+        forms = _CHARACTERS.get(marker, "●○")
+        is_hollow = str(line.get_markerfacecolor()) in (PAPER, "#ffffff", "none")
+        return f"color:{ink}", forms[-1 if is_hollow else 0], label
+    dashes = {"-": "solid", ":": "dotted"}.get(str(line.get_linestyle()), "dashed")
+    drawn = f"border-top:{line.get_linewidth():g}px {dashes} {ink}"
+    alpha = line.get_alpha()
+    return drawn if alpha is None else f"{drawn};opacity:{alpha:g}", "", label
 
 
 def _panel(k: int, panels: list[Panel], height: float) -> dict[str, Any]:
