@@ -64,12 +64,20 @@ def seconds(study: Study, name: str, method: Method) -> float:
         designs, cells = study.lines / study.batches, int(study.plane is not None)
         own = _total(study, COSTS["design of a plane" if cells else "design"])
         return own * designs + cells * _total(study, COSTS["plane of designs"])
-    is_cheap = name == "atlas" and (
-        method is Method.INTERPOLATED or (method.is_of_lines and study.lines > 1)
-    )
-    return _total(
-        study, COSTS.get("atlas side by side" if is_cheap else name, OTHERS), name
-    )
+    if name == "atlas":
+        return _total(study, COSTS[_atlas_of(study, method)], name)
+    return _total(study, COSTS.get(name, OTHERS), name)
+
+
+def _atlas_of(study: Study, method: Method) -> str:
+    """The name of the cost of an atlas of a line."""
+    if method is Method.TARGETS and study.at:
+        is_of_key = study.at["vary"] != "slope"
+        return "atlas at values by a key" if is_of_key else "atlas at values"
+    is_beside = method.is_of_lines and study.lines > 1
+    if is_beside or method is Method.INTERPOLATED:
+        return "atlas of what drives" if study.is_driven else "atlas side by side"
+    return "atlas"
 
 
 def integrated(study: Study, points: int, method: Method) -> int:

@@ -30,6 +30,13 @@ STUDIES = {
     "cascade": 'name = "s"\nkind = "cascade"\nwalker = "D"\n[axes]\nslope = [0.01, 0.02]\n',
     "basin": 'name = "s"\nkind = "basin"\nwalker = "D"\n[axes]\nslope = [0.009]\n',
     "orbits": 'name = "s"\nkind = "orbit"\nwalker = "D"\n[axes]\nslope = { from = 0.014, to = 0.0189, n = 20 }\n',
+    "what drives": LINE.replace("n = 20", "n = 3")
+    + "push_off = { from = 0.03, to = 0.2, n = 12 }\n",
+    "values": 'name = "s"\nwalker = "D"\nat = { step_length = [0.1, 0.2, 0.3, 0.4], vary = "slope" }\n'
+    "[axes]\nm_h = [0.0, 0.1, 0.2, 0.3]\n",
+    "values by a key": 'name = "s"\nwalker = "D"\n'
+    'at = { step_length = [0.1, 0.2], vary = "push_off", between = [1e-3, 0.2] }\n'
+    "[axes]\nslope = [0.0, 0.005]\n",
     "gaits of two steps": LINE.replace("0.001", "0.0155") + "[options]\nsteps = 2\n",
 }
 
