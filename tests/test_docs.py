@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import json
 import math
+import os
 import pkgutil
 import re
 import runpy
@@ -98,6 +99,19 @@ def test_tables_are_those_of_the_fields_and_the_reference_gaits(name):
     page = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
     filled = runpy.run_path(str(ROOT / "docs" / "tables.py"))["filled"]
     assert filled(page) == page
+
+
+def test_help_of_the_tables_writes_nothing():
+    page = ROOT / "docs" / "studies.md"
+    written = page.stat().st_mtime_ns
+    done = subprocess.run(
+        [sys.executable, ROOT / "docs" / "tables.py", "--help"],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0 and "usage: tables.py" in done.stdout
+    assert page.stat().st_mtime_ns == written
 
 
 def test_every_command_and_option_exists():
