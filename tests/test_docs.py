@@ -101,6 +101,12 @@ def test_tables_are_those_of_the_fields_and_the_reference_gaits(name):
     assert filled(page) == page
 
 
+def test_pages_that_speak_of_lanes_say_what_one_is():
+    for page in [*(ROOT / "docs").glob("*.md"), ROOT / "README.md"]:
+        text = page.read_text(encoding="utf-8")
+        assert not re.search(r"\blanes?\b", text) or "*lane*" in text, page.name
+
+
 def test_help_of_the_tables_writes_nothing():
     page = ROOT / "docs" / "studies.md"
     written = page.stat().st_mtime_ns
