@@ -16,6 +16,8 @@ from gaitsweep import simulate, solve, step_map
 from gaitsweep.pipeline.archive.diff import diff
 from gaitsweep.pipeline.cli.commands import main
 from gaitsweep.pipeline.errors import StudyError
+from gaitsweep.pipeline.report import source
+from gaitsweep.pipeline.report.figures import over_key
 from gaitsweep.pipeline.study.parse import parse, read
 from gaitsweep.tasks.fits.feigenbaum import DELTA
 
@@ -65,6 +67,32 @@ def test_flips_over_the_push_off_are_gaits_with_a_multiplier_of_minus_one(
         gait = found.loc[nearest]
         assert gait["stance_angle"] == pytest.approx(flip.stance_angle, rel=1e-12)
         assert min(abs(m + 1) for m in gait["multipliers"]) < 1e-12
+
+
+def test_a_curve_over_a_key_is_stable_up_to_its_flips(branches, tmp_path):
+    """Drawn from a grid of few values, 0.025 apart."""
+    pushes = {
+        "from": 0.05,
+        "to": 0.75,
+        "n": 29,
+    }
+    wanted = {
+        "variables": ["stance_angle", "multipliers"],
+        "figures": ["over_key"],
+    }
+    archive = run(tmp_path, study("grid", push_off=pushes, want=wanted))
+    (axes,) = over_key.over_key(source.read(archive)).panels
+    thick = [line.get_xydata() for line in axes.lines if line.get_linewidth() == 2.6]
+    drawn = [xy[np.isfinite(xy).all(axis=1)] for xy in thick]
+    low, high = (xy for xy in drawn if len(xy))
+
+    flips = points_of(branches, "D", "flip").sort_values("push_off")[:2]
+    expected = flips[["push_off", "stance_angle"]].to_numpy()
+    np.testing.assert_allclose(
+        [low[-1], high[0]],
+        expected,
+        rtol=2e-3,
+    )
 
 
 def test_a_fold_over_the_push_off_is_where_its_derivative_vanishes(tmp_path):

@@ -13,11 +13,11 @@ from gaitsweep.pipeline.report import cells, folder, html_tables
 from gaitsweep.pipeline.report.figures import (
     FIGURES,
     Undrawn,
+    continued,
     design_maps,
     draw,
     fields,
     landmarks,
-    over_key,
     slices,
 )
 from gaitsweep.pipeline.report.figures.body import Body
@@ -1273,30 +1273,21 @@ def test_no_line_over_a_key_joins_curves_between_which_a_label_passes():
         [[0.30, 0.10], [0.31, 0.09], [0.32, 0.21], [0.33, 0.22]],
         dims=("push_off", "gait"),
     )
-    goes_on = over_key._goes_on(angle, "push_off").reshape(4, 2)
+    goes_on = continued.goes_on(angle, "push_off").reshape(4, 2)
     assert goes_on.tolist() == [[True, True], [True, False], [True, True], [False] * 2]
-    across = over_key._goes_on(angle.transpose(), "push_off").reshape(2, 4)
+    across = continued.goes_on(angle.transpose(), "push_off").reshape(2, 4)
     assert (across == goes_on.T).all()
 
 
-def test_stability_ends_between_the_values_of_a_key_where_the_radius_is_1():
-    """The thick line ended at the last stable gait computed, up to a cell early."""
-    key = np.arange(1.0, 9.0)
-    radius = (key / 3.3) ** 2
-    radius[6:] = 0.5  # stable ones of another curve, to which no border leads
-    goes_on = ~np.isin(key, (6.0, 8.0))
-    columns = {"push_off": key, "stance_angle": 0.1 * key, "goes_on": goes_on}
-    stable = np.where(radius < 1, 1.0, 0.0)
-    curve = pd.DataFrame(columns | {"spectral_radius": radius, "stable": stable})
-
-    drawn = over_key._parts(curve)
-
-    (border,) = drawn[~drawn["push_off"].isin(key)].to_dict("records")
-    assert np.isclose(border["push_off"], 3.3, rtol=1e-12)
-    assert np.isclose(border["stance_angle"], 0.33, rtol=1e-12)
-    assert border["stable"] == 1 and border["spectral_radius"] == 1
-    gaps = drawn.index[drawn["stance_angle"].isna()].tolist()
-    assert drawn["push_off"].iloc[[i - 1 for i in gaps]].tolist() == [6.0, 8.0]
+def test_lines_side_by_side_go_on_where_values_are_few():
+    """Every gait is nearer to the other line's next one than to its own, but not to
+    where its own leads.
+    """
+    at = np.array([0.1, 0.2, 0.4, 0.8])
+    angle = np.sqrt(at)[:, None] * [1.0, 1.1]
+    angle = xr.DataArray(angle, {"push_off": at}, dims=("push_off", "gait"))
+    goes_on = continued.goes_on(angle, "push_off").reshape(4, 2)
+    assert goes_on.tolist() == [[True, True]] * 3 + [[False, False]]
 
 
 @pytest.mark.parametrize("sizes", [(8, 8, 8, 8, 8, 8), (200, 90, 12)])

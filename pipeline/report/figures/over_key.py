@@ -10,14 +10,17 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from gaitsweep.pipeline.report.figures.continued import goes_on, parts
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.stability import add_borders
+from gaitsweep.pipeline.report.figures.stability import TESTS, tests
 from gaitsweep.pipeline.report.figures.style import MOST_COLOURS, draw_gait, inks
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import axis_values, symbol, with_unit
 
 #: Variables under the pointer, beside the key and what is drawn.
 _SHOWN = {"slope": "γ (rad)", "stance_angle": "θ* (rad)", "spectral_radius": "max |λ|"}
+#: Columns by which curves are drawn.
+_UNTOLD = ["goes_on", *TESTS]
 
 
 def over_key(source: Source) -> Sketch | None:
@@ -39,7 +42,7 @@ def over_key(source: Source) -> Sketch | None:
             known = curve[curve["stance_angle"].notna()]
             if known.empty:
                 continue
-            whole = _parts(curve)
+            whole = parts(curve)
             draw_gait(
                 axes,
                 whole,
@@ -50,7 +53,9 @@ def over_key(source: Source) -> Sketch | None:
                 "stance_angle",
             )
             _mark(sketch, known, f"{gait} step · {name}", key, number)
-            sketch.pieces.append(known.drop(columns="goes_on").assign(line=name))
+            sketch.pieces.append(
+                known.drop(columns=_UNTOLD, errors="ignore").assign(line=name)
+            )
     if not sketch.pieces:
         return None
 
@@ -71,7 +76,7 @@ def _mark(
 ) -> None:
     """Mark the gaits of a curve, which tell their values and command."""
     (axes,) = sketch.panels
-    told = curve.drop(columns=["gait", "stable", "goes_on"])
+    told = curve.drop(columns=["gait", "stable", *_UNTOLD], errors="ignore")
     tips = {key: symbol(key), **_SHOWN}
     sketch.mark(axes, told, label, tips=tips, x=key, group=number)
 
@@ -108,59 +113,39 @@ def _lines(source: Source, key: str) -> Iterator[tuple[str, pd.DataFrame]]:
 
     for place in itertools.product(*(range(grid.sizes[axis]) for axis in others)):
         at = dict(zip(others, place, strict=True))
-        here = grid.isel(at)
         values: dict[str, Any] = {axis: grid[axis].values[i] for axis, i in at.items()}
         varied = {axis: v for axis, v in values.items() if grid.sizes[axis] > 1}
-        rows = here[["stance_angle", "spectral_radius"]].to_dataframe().reset_index()
-        rows["slope"] = float(values["slope"])
-        rows["stable"] = np.where(rows["spectral_radius"] < 1, 1.0, 0.0)
+        rows = _rows(grid.isel(at), key)
         rows["command"] = [
             _command(source, values, key, value) for value in rows[key].tolist()
         ]
-        rows["goes_on"] = _goes_on(here["stance_angle"], key)
-        columns = [
-            key,
-            "slope",
-            "gait",
+        yield axis_values(varied) or source.walker, rows
+
+
+def _rows(here: xr.Dataset, key: str) -> pd.DataFrame:
+    """The gaits over a key where all else is fixed, and how they are drawn."""
+    told = here[
+        [
             "stance_angle",
             "spectral_radius",
-            "stable",
-            "goes_on",
-            "command",
         ]
-        yield axis_values(varied) or source.walker, rows[columns]
+    ]
+    whole = told.assign(tests(here))
+    rows = whole.to_dataframe().reset_index()
 
+    rows["stable"] = np.where(rows["spectral_radius"] < 1, 1.0, 0.0)
+    rows["goes_on"] = goes_on(here["stance_angle"], key)
+    drawn = [name for name in _UNTOLD if name in rows]
 
-def _goes_on(angle: xr.DataArray, key: str) -> np.ndarray:
-    """Whether the gait at the next value of the key is on the curve of each, in the
-    order of the rows of a DataFrame: each is the nearest to the other. A label may pass
-    to another curve.
-    """
-    values = np.log(angle.transpose(key, "gait").values)
-    apart = np.abs(values[1:, None] - values[:-1, :, None])
-    apart = np.where(np.isnan(apart), np.inf, apart)
-
-    own = np.arange(values.shape[1])
-    next_is_nearest = apart.argmin(axis=2) == own
-    last_is_nearest = apart.argmin(axis=1) == own
-    goes_on = np.zeros(values.shape, bool)
-    goes_on[:-1] = next_is_nearest & last_is_nearest
-
-    together = xr.DataArray(goes_on, dims=(key, "gait"))
-    return np.asarray(together.transpose(*angle.dims).values.ravel())
-
-
-def _parts(curve: pd.DataFrame) -> pd.DataFrame:
-    """A curve with the borders of stability, which lie between gaits that are followed,
-    and a row without an angle after each gait that is its part's last.
-    """
-    is_last = ~curve["goes_on"].astype(bool)
-    numbers = is_last.shift(fill_value=False).cumsum()
-    parts = []
-    for _, part in curve.groupby(numbers, sort=False):
-        gap = part.tail(1).assign(stance_angle=np.nan, stable=0.0)
-        parts += [add_borders(part), gap]
-    return pd.concat(parts, ignore_index=True)
+    columns = [
+        key,
+        "slope",
+        "gait",
+        *told,
+        "stable",
+        *drawn,
+    ]
+    return rows[columns]
 
 
 def _command(source: Source, values: dict[str, Any], key: str, value: float) -> str:

@@ -2,17 +2,22 @@
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 #: Points from which a border is interpolated, where stability changes once among them.
 _AROUND = 4
+#: Products of 1 - λ and 1 + λ over all multipliers, which vanish at folds and flips, by
+#: the multiplier there.
+TESTS = {"fold_test": 1.0, "flip_test": -1.0}
 
 
 def add_borders(curve: pd.DataFrame) -> pd.DataFrame:
     """A curve of gaits with a stable point at each place where |λ| passes 1.
 
-    Its columns are polynomials of ln max |λ| through the points around, those of
-    positive numbers by their logarithms: the slope of a flip of figure 11 is found to
-    0.1 %. They have a `border`, and no command reproduces them. A curve without
+    Its columns are polynomials, through the points around, of what vanishes there:
+    of a column of `TESTS` that changes its sign, which is smooth where multipliers meet,
+    else of ln max |λ|. Those of positive numbers are so by their logarithms: the slope
+    of a flip of figure 11 is found to 0.1 %. They have a `border`, and no command reproduces them. A curve without
     spectral radii, or with the same stability everywhere, stays as it is.
     """
     if not {"spectral_radius", "stable"} <= set(curve.columns):
@@ -26,14 +31,35 @@ def add_borders(curve: pd.DataFrame) -> pd.DataFrame:
         return curve
 
     computed = curve.reset_index(drop=True).assign(border=False)
-    borders = [_border(computed, radius, int(k)) for k in changes]
+    borders = [_border(computed, _vanishing(curve, int(k)), int(k)) for k in changes]
     return pd.concat([computed, *borders]).sort_index().reset_index(drop=True)
 
 
-def _border(curve: pd.DataFrame, radius: np.ndarray, k: int) -> pd.DataFrame:
-    """The row between rows k and k + 1 at which |λ| is 1."""
-    near = _support(radius, k)
-    weights = _weights_at_zero(radius[near])
+def tests(grid: xr.Dataset) -> dict[str, xr.DataArray]:
+    """The columns of `TESTS` of a grid; none if it holds no multipliers."""
+    if not {"multiplier_real", "multiplier_imag"} <= set(grid.variables):
+        return {}
+    multipliers = (grid["multiplier_real"] + 1j * grid["multiplier_imag"]).fillna(0)
+    is_gait = grid["spectral_radius"].notnull()
+    return {
+        name: (1 - sign * multipliers).prod("multiplier").real.where(is_gait)
+        for name, sign in TESTS.items()
+    }
+
+
+def _vanishing(curve: pd.DataFrame, k: int) -> np.ndarray:
+    """What passes 0 between rows k and k + 1, where stability changes."""
+    for name in TESTS:
+        values = curve[name].to_numpy() if name in curve else np.ones(len(curve))
+        if values[k] * values[k + 1] < 0:
+            return values
+    return np.log(curve["spectral_radius"].to_numpy(float))
+
+
+def _border(curve: pd.DataFrame, vanishing: np.ndarray, k: int) -> pd.DataFrame:
+    """The row between rows k and k + 1 at which |λ| is 1, and something vanishes."""
+    near = _support(vanishing, k)
+    weights = _weights_at_zero(vanishing[near])
 
     row = curve.iloc[[k]].copy()
     for name in curve.columns:
@@ -61,14 +87,14 @@ def _weights_at_zero(points: np.ndarray) -> np.ndarray:
     return np.array(weights)
 
 
-def _support(radius: np.ndarray, k: int) -> list[int]:
-    """Rows from which a border is interpolated: four whose radii rise or fall together,
+def _support(values: np.ndarray, k: int) -> list[int]:
+    """Rows from which a border is interpolated: four whose values rise or fall together,
     else the two beside it.
     """
     first = k - _AROUND // 2 + 1
     wide = list(range(first, first + _AROUND))
-    if first >= 0 and wide[-1] < len(radius):
-        steps = np.diff(radius[wide])
+    if first >= 0 and wide[-1] < len(values):
+        steps = np.diff(values[wide])
         rises = bool((steps > 0).all())
         falls = bool((steps < 0).all())
         if rises or falls:
