@@ -29,7 +29,7 @@ def study(tmp_path_factory):
 
 
 def test_gaits_of_a_study_have_the_values_asked_for(study):
-    assert study.values_along.dims == ("R", "froude_speed", "gait")
+    assert study.slope.dims == ("R", "froude_speed", "gait")
     assert (study.status.sel(froude_speed=SPEEDS[:3]) == "converged").all()
 
     for radius in study.R.values:
