@@ -386,7 +386,12 @@ def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
         )
     ]
     assert (
-        len({(one.name, one.walkers, tuple(one.slope), one.variables) for one in read})
+        len(
+            {
+                (one.name, one.walkers, tuple(one.values_along), one.variables)
+                for one in read
+            }
+        )
         == 1
     )
 

@@ -181,8 +181,8 @@ def test_a_plan_for_machines(tmp_path, monkeypatch, capsys):
         "new",
         "changed",
         "cached",
-        "not_wanted",
-        "flown",
+        "omitted",
+        "integrated",
         "seconds",
         "tasks",
     ]
@@ -196,13 +196,17 @@ def test_a_plan_for_machines(tmp_path, monkeypatch, capsys):
     assert study["archive"].endswith("data/archive/toy.nc") or study[
         "archive"
     ].endswith(f"{study['study']}.nc")
-    assert study["flown"] == points and orbits["flown"] == 0 and orbits["new"] == 1
+    assert (
+        study["integrated"] == points
+        and orbits["integrated"] == 0
+        and orbits["new"] == 1
+    )
     assert {"violations", "proofs", "claims"} <= set(
-        study["not_wanted"]
-    ) and "violations" not in orbits["not_wanted"]
+        study["omitted"]
+    ) and "violations" not in orbits["omitted"]
     assert commands.main(["run", "s.toml", "--quiet", "--jobs", "1"]) == 0
     (done,) = plan("s.toml")
-    assert (done["new"], done["cached"], done["flown"], done["seconds"]) == (
+    assert (done["new"], done["cached"], done["integrated"], done["seconds"]) == (
         0,
         points,
         0,
@@ -220,7 +224,7 @@ def test_what_is_not_wanted_is_in_the_record_alone(tmp_path, monkeypatch, capsys
     assert "not wanted" not in told and "version" not in told
 
     assert commands.main(["plan", "--json", "s.toml"]) == 0
-    names = json.loads(capsys.readouterr().out)[0]["not_wanted"]
+    names = json.loads(capsys.readouterr().out)[0]["omitted"]
     assert names[-5:] == ["trace", "transition", "landmarks", "crises", "claims"]
     assert {"multipliers", "energy", "proofs"} < set(names) and not {
         "violations",
