@@ -8,16 +8,12 @@ import pytest
 import gaitsweep
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.tasks.branches.atlas import from_arrays
-from gaitsweep.tasks.branches.equations import Equations
 from gaitsweep.tasks.charts.sheet import Asked, Sampled, fit_sheets
 from gaitsweep.tasks.charts.span import Span
-from gaitsweep.tasks.gaits.polish import settle, unmeasured
-from gaitsweep.tasks.measures.levels import measures_at
-from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.studies.request import Request
 from gaitsweep.tasks.studies.solve_points import atlas, solve_line
 from gaitsweep.tasks.walkers.resolve import resolve
-from gaitsweep.tasks.walkers.walker import KEYS, WalkerError
+from gaitsweep.tasks.walkers.walker import KEYS
 
 LINK = {
     "l": 0.9,
@@ -282,144 +278,6 @@ def test_derivatives_of_long_lines_do_not_depend_on_how_they_are_cut():
 
     parts = [derivatives(some) for some in np.split(slopes, [3, 21])]
     np.testing.assert_array_equal(derivatives(slopes), np.concatenate(parts))
-
-
-@pytest.mark.parametrize(
-    ("walker", "changes", "special", "regular"),
-    [
-        ("D", {"R": 0.1}, ["r_t", "c_t", "w_t"], ["m_s", "w_s", "m_h"]),
-        ("D", {"hip_stiffness": 0.1, "push_off": 0.02}, ["m_s"], ["push_off"]),
-        ("D", {"R": 0.1, "hip_torque": 0.05}, ["m_s", "r_t"], ["hip_torque"]),
-        ("D", {"m_t": 0.0, "m_h": 1.0, "c_t": 0.2, "R": 0.1}, ["m_t"], ["m_s"]),
-    ],
-)
-def test_limits_that_no_gaits_beside_tend_to_are_told(
-    walker, changes, special, regular
-):
-    """Keys that would give massless legs their inertia, or a torque to accelerate."""
-    found = gaitsweep.sensitivities(walker, 0.01, keys=special + regular, **changes)
-
-    reasons = dict(zip(found.key.values, found.key_reason.values, strict=True))
-    for key in special:
-        assert "special: walkers beside it" in reasons[key], key
-        assert all(np.isnan(found[name].sel(key=key)).all() for name in found)
-    for key in regular:
-        assert reasons[key] == ""
-        assert np.isfinite(found.period.sel(key=key, gait="long"))
-
-
-#: Walkers, slopes and keys beside whose values of any of them walkers are many.
-SETTINGS = [
-    ("D", 0.01, {"R": 0.1}),
-    ("B", 0.01, {"hip_stiffness": 0.05, "push_off": 0.02}),
-    *(
-        pytest.param(
-            walker, 0.03 if "physical" in walker else 0.01, changes, marks=SLOW
-        )
-        for walker in (*"ABCDEF", "physical", "physical-straight", "C-printed")
-        for changes in (
-            {},
-            {"R": 0.1},
-            {"hip_stiffness": 0.05},
-            {"push_off": 0.02},
-            {"hip_torque": 0.01, "hip_damping": 0.01},
-            {"m_h": 0.5},
-        )
-        if "physical" not in walker or not changes
-    ),
-    pytest.param("D", 0.01, {"R": 0.1, "hip_stiffness": 0.1}, marks=SLOW),
-    pytest.param("D", 0.01, {"m_t": 0.0, "m_h": 1.0, "c_t": 0.2}, marks=SLOW),
-    pytest.param("D", 0.01, {"m_s": 1e-4, "r_t": 0.01}, marks=SLOW),
-    pytest.param("D", 0.01, {"m_s": 1e-3, "R": 0.1, "c_t": 1e-3}, marks=SLOW),
-    pytest.param("A", 0.02, {"R": 0.0}, marks=SLOW),
-]
-
-
-@pytest.mark.parametrize(("walker", "slope", "changes"), SETTINGS)
-def test_whatever_is_told_is_what_gaits_beside_have_and_all_else_has_a_reason(
-    walker, slope, changes
-):
-    """Gaits are solved from the own one, with steps of all keys that fall to 1e-8; of
-    one-sided differences two steps are extrapolated.
-    """
-    own = resolve(walker, changes)
-    names = ["stance_angle", "period", "loss_normal"]
-    found = gaitsweep.sensitivities(walker, slope, variables=names, **changes)
-    gaits = gaitsweep.gaits(walker, slope, variables=[*START, *names], **changes)
-    measured = 0
-
-    for label in ("long", "short"):
-        gait = gaits.sel(gait=label)
-        if np.isnan(gait.period):
-            continue
-        here = np.array([float(gait[name]) for name in names])
-        reasons = zip(found.key.values, found.key_reason.values, strict=True)
-        for key, reason in list(reasons)[1:]:
-            at = found.sel(gait=label, key=key)
-            told = np.array([float(at[name]) for name in names])
-            if reason:
-                assert np.isnan(told).all(), key
-                continue
-
-            quotients = _quotients(own, slope, gait, key, here, names)
-            assert _is_among(told, quotients, here), key
-            measured += 1
-    assert measured > 5
-
-
-START = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrike_time")
-
-
-def _is_among(told, quotients, here):
-    """Whether each derivative is one of several quotients, over the measures too."""
-    size = np.abs(told) + np.abs(here)
-    off = np.nanmin(np.abs(quotients - told) / size, axis=0)
-    return np.isfinite(told).all() and off.max() < 1e-3
-
-
-def _quotients(walker, slope, gait, key, here, names):
-    """Difference quotients (k, names) by a key: central ones, and those of each side."""
-    steps = np.array([1e-4, 1e-6, 1e-8])
-    value = getattr(walker, key)
-    more, less = (
-        np.array([_beside(walker, slope, gait, key, value + h, names) for h in sign])
-        for sign in (steps, -steps)
-    )
-    up, down = (more - here) / steps[:, None], (here - less) / steps[:, None]
-    central = (more - less) / (2 * steps[:, None])
-
-    extrapolated = [(100 * q[1:] - q[:-1]) / 99 for q in (up, down)]
-    return np.vstack([central, *extrapolated])
-
-
-def _beside(walker, slope, gait, key, value, names):
-    """Measures of the gait near one, of a walker with another value of a key."""
-    missing = np.full(len(names), np.nan)
-    try:
-        problem = Problem(walker.having(key, value))
-    except WalkerError:
-        return missing
-    w = _guess(problem, gait, slope)
-    settled = settle(problem, unmeasured(problem, w, np.array([slope])))
-    if not (settled.converged & settled.step)[0]:
-        return missing
-    Z = np.vstack([settled.w, np.log([slope])])
-    of_gait = measures_at(names, Equations(problem).evaluate(Z))
-    return np.array([of_gait[name][0] for name in names])
-
-
-def _guess(problem, gait, slope):
-    """Unknowns w of a gait, of another walker."""
-    unit = problem.walker.time_unit
-    state = np.array([[float(gait[name])] for name in START[:3]])
-    state[1:] *= unit
-
-    times = [float(gait.period) / unit]
-    if problem.walker.knees:
-        times.insert(0, float(gait.kneestrike_time) / unit)
-
-    y = problem.section_of(state, np.array([slope]))
-    return np.vstack([np.log(y[:1]), y[1:] / y[0], np.reshape(times, (-1, 1))])
 
 
 def test_violations_of_many_gaits_are_differentiated():
