@@ -51,8 +51,8 @@ def sensitivities(
     xarray.Dataset
         Each variable's derivatives over the slopes, `gait` and `key`, whose first is
         the slope, all others at a fixed slope: in the variable's unit over the key's,
-        `key_units`. NaN where there is no gait, at folds, and by keys of which
-        `key_reason` says why.
+        `key_units`. NaN where there is no gait, at folds, of measures that are not
+        smooth there, and by keys of which `key_reason` says why.
 
     Raises
     ------

@@ -10,6 +10,7 @@ In shapes, n counts gaits, c the unknowns Z of one (`tasks.branches.joint`), r m
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -81,6 +82,11 @@ _BEYOND = _Stencil(
 #: ones. Where one is larger, steps are made ten times as small, so often.
 _SIXTH = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])
 _SMOOTH, _LEAST_CONSTANT = 1e-12, 1e-3
+#: The largest error of a derivative that such a difference of a measure tells of, over
+#: derivative and measure: where it is larger, two extremes of a motion may be equal.
+_KINK = 1e-3
+#: How often a step is made ten times as small where that is so.
+_TIMES_SMALLER = 2
 _CHANGED, _LEAST_CHANGED = 2e-2, 1.0
 _TIMES_FINER = 7
 
@@ -316,30 +322,38 @@ class _Neighbourhood:
         What is differentiated.
     of_gait : ndarray, shape (c - 1, c, n)
         Derivative of the gaits' equations by Z.
-    of_measures : ndarray, shape (r, c, n)
-        That of the measures.
+    own : ndarray, shape (r, n)
+        The measures.
+    of_measures, kinks : ndarray, shape (r, c, n)
+        Their derivatives, and how far off these are where there is none.
     """
 
     problem: Problem
     Z: Coordinates
     rows: Rows
     of_gait: np.ndarray
+    own: np.ndarray
     of_measures: np.ndarray
+    kinks: np.ndarray
 
     @classmethod
     def of(cls, problem: Problem, Z: Coordinates, rows: Rows) -> _Neighbourhood:
         """Differentiate gaits and measures by Z, the latter by differences."""
         equations = Equations(problem)
-        of_gait = equations.at(Z).derivative
+        system = equations.at(Z)
+        own = rows.at(system.gait)
         by_unknowns = [
-            _differences(rows.at, equations, Z, unknown, _CENTRAL)
+            _differences(rows.at, equations, Z, unknown, _CENTRAL, rows.sizes, own)
             for unknown in range(len(Z))
         ]
-        return cls(problem, Z, rows, of_gait, np.stack(by_unknowns, axis=1))
+        of_measures, kinks = np.stack(by_unknowns, axis=2)
+        return cls(problem, Z, rows, system.derivative, own, of_measures, kinks)
 
     def by_slope(self) -> np.ndarray:
         """Derivatives (r, n) of measures by slope [the walker's units, over rad]."""
-        by_log_slope = self._in_all(self.of_gait[:, -1], self.of_measures[:, -1])
+        by_log_slope = self._in_all(
+            self.of_gait[:, -1], self.of_measures[:, -1], self.kinks[:, -1]
+        )
         return by_log_slope / np.exp(self.Z[-1])
 
     def by_key(self, key: KeyOfWalker) -> np.ndarray:
@@ -355,25 +369,44 @@ class _Neighbourhood:
         equations = Equations(keys).over(self.problem.drive)
         scale = keys.scale[0]
         own = np.full((1, self.Z.shape[1]), key.value / scale)
-        both = _differences(
+        joint = len(self.Z) - 1
+        both, kinks = _differences(
             self._equations_and_measures,
             equations,
             np.vstack([self.Z, own]),
             len(self.Z),
             key.stencil(keys),
+            self._sizes,
+            np.vstack([np.zeros_like(self.Z[1:]), self.own]),
         )
-        residual, measures = np.split(both, [len(self.Z) - 1])
-        return self._in_all(residual, measures) / scale
+        residual, measures = np.split(both, [joint])
+        return self._in_all(residual, measures, kinks[joint:]) / scale
+
+    def _sizes(self, values: np.ndarray) -> np.ndarray:
+        """Sizes of the equations' values, one at least, and of measures, or of their
+        derivatives.
+        """
+        residual, measured = np.split(values, [len(self.Z) - 1])
+        of_residual = np.maximum(1.0, np.abs(residual))
+        return np.vstack([of_residual, self.rows.sizes(measured)])
 
     def _equations_and_measures(self, at: Evaluation) -> np.ndarray:
         return np.vstack([at.residual, self.rows.at(at)])
 
-    def _in_all(self, by_residual: np.ndarray, by_measures: np.ndarray) -> np.ndarray:
+    def _in_all(
+        self, by_residual: np.ndarray, by_measures: np.ndarray, kinks: np.ndarray
+    ) -> np.ndarray:
         """Derivatives (r, n) of measures of gaits by what changes their equations
-        (c - 1, n) and, of a gait that does not move, its measures (r, n).
+        (c - 1, n) and, of a gait that does not move, its measures (r, n), with how far
+        off these may be; NaN where measures are not smooth.
         """
         moved = _moved(self.of_gait[:, :-1], by_residual)
-        return by_measures + matvec(self.of_measures[:, :-1], moved)
+        found = by_measures + matvec(self.of_measures[:, :-1], moved)
+        off = kinks + matvec(self.kinks[:, :-1], np.abs(moved))
+        with np.errstate(invalid="ignore"):
+            size = self.rows.sizes(found) + self.rows.sizes(self.own)
+            is_rough = off > _KINK * size
+        return np.where(is_rough, np.nan, found)
 
 
 def _moved(by_w: np.ndarray, by_other: np.ndarray) -> np.ndarray:
@@ -399,8 +432,51 @@ def _differences(
     X: Coordinates,
     unknown: int,
     stencil: _Stencil,
+    sizes: Callable[[np.ndarray], np.ndarray],
+    own: np.ndarray,
 ) -> np.ndarray:
-    """Derivatives (r, n) of a function (r, n) of steps by one unknown."""
+    """Derivatives of a function (r, n) of steps by one unknown, and how far off they are
+    at a kink, shape (2, r, n). Where there is one beside, steps are made smaller.
+
+    Parameters
+    ----------
+    sizes : callable
+        Sizes of the function's values, over which it may be off.
+    own : ndarray, shape (r, n)
+        Its values at X.
+    """
+    found = _by_stencil(function, equations, X, unknown, stencil, own)
+    for _ in range(_TIMES_SMALLER):
+        derivatives, off = found
+        is_rough = off > _KINK * (sizes(derivatives) + sizes(own))
+        lanes = np.flatnonzero(is_rough.any(axis=0))
+        if not len(lanes):
+            break
+        stencil = stencil.finer(10)
+        finer = _by_stencil(
+            function,
+            equations.some(lanes),
+            X[:, lanes],
+            unknown,
+            stencil,
+            own[:, lanes],
+        )
+        is_better = finer[1] < off[:, lanes]
+        found[:, :, lanes] = np.where(is_better, finer, found[:, :, lanes])
+    return found
+
+
+def _by_stencil(
+    function: Callable[[Evaluation], np.ndarray],
+    equations: Equations,
+    X: Coordinates,
+    unknown: int,
+    stencil: _Stencil,
+    own: np.ndarray,
+) -> np.ndarray:
+    """What `_differences` returns, with one step: the highest difference of the values
+    side by side, which vanishes where a function is smooth, tells of a kink.
+    """
     n, beside = X.shape[1], len(stencil.places)
     points = np.tile(X, beside)
     points[unknown] += stencil.step * np.repeat(stencil.places, n)
@@ -408,7 +484,14 @@ def _differences(
     values = function(equations.some(lanes).evaluate(points))
     values = values.reshape(-1, beside, n)
     weighted = (weight * values[:, k] for k, weight in enumerate(stencil.weights))
-    return total(weighted) / stencil.step
+    derivatives = total(weighted) / stencil.step
+
+    if stencil.places[0] < 0:
+        values = np.insert(values, beside // 2, own, axis=1)
+    order = values.shape[1] - 1
+    highest = np.diff(values, n=order, axis=1)[:, 0]
+    off = np.abs(highest) / (math.comb(order, order // 2) * stencil.step)
+    return np.stack([derivatives, off])
 
 
 def differentiated(

@@ -158,3 +158,22 @@ def _guess(problem, gait, slope):
 
     y = problem.section_of(state, np.array([slope]))
     return np.vstack([np.log(y[:1]), y[1:] / y[0], np.reshape(times, (-1, 1))])
+
+
+def test_a_derivative_beside_a_kink_is_that_of_its_own_side():
+    """The swing foot of the short gait is lowest at another instant of the step where
+    the leg's offset is a little less.
+    """
+    names = ["foot_clearance"]
+    found = gaitsweep.sensitivities("B", 0.01, keys=["w_t"], variables=names)
+    told = float(found.foot_clearance.sel(gait="short", key="w_t"))
+
+    own = resolve("B").w_t
+    clearance = []
+    for beside in (own - 1e-6, own + 1e-6):
+        gaits = gaitsweep.gaits("B", 0.01, w_t=beside, variables=names)
+        short = gaits.sel(gait="short")
+        clearance.append(float(short.foot_clearance))
+
+    less, more = clearance
+    assert told == pytest.approx((more - less) / 2e-6, rel=1e-6)

@@ -293,6 +293,20 @@ def test_violations_of_many_gaits_are_differentiated():
     np.testing.assert_allclose(ours.values, theirs.values, rtol=1e-6)
 
 
+def test_measures_that_are_not_smooth_have_no_derivative():
+    """Massless legs ask as much friction at the end of a step as at its beginning; with
+    a foot's mass either grows otherwise.
+    """
+    names = ["friction_demand", "least_normal_force"]
+
+    found = gaitsweep.sensitivities("D", 0.01, keys=["m_s", "g"], variables=names)
+
+    of_long = found.sel(gait="long")
+    assert np.isnan(of_long.friction_demand.sel(key="m_s"))
+    assert np.isfinite(of_long.least_normal_force.sel(key="m_s"))
+    assert abs(of_long.friction_demand.sel(key="g")) < 1e-9
+
+
 def test_a_value_that_polynomials_do_not_give_is_refused_alone():
     def solve(asked, points):
         for x in points:
