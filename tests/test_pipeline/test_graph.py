@@ -15,7 +15,9 @@ from gaitsweep.pipeline.errors import StoppedError
 from gaitsweep.pipeline.graph import reads
 from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.keys import task_key
+from gaitsweep.pipeline.graph.layers import point_params
 from gaitsweep.pipeline.graph.plan import Plan, summary
+from gaitsweep.pipeline.grid.costs import of_point
 from gaitsweep.pipeline.grid.method import variables
 from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.store.record import Points, Record
@@ -358,3 +360,22 @@ def test_keys_hold_the_exact_numbers():
     assert key.startswith("atlas-") and len(key) == 70
     backwards = {"line": dict(reversed(one["line"].items()))}
     assert task_key(task, one) == task_key(task, backwards)
+
+
+def test_polynomials_give_derivatives_where_a_line_has_far_more_slopes_than_they_take(
+    make,
+):
+    def asked(n, **keys):
+        axes = {"slope": {"from": 0.001, "to": 0.05, "n": n}}
+        want = {"variables": ["period", "sensitivities"]}
+        study = make(axes=axes, want=want, **keys)
+        method = Graph(study).method
+        seconds = n * of_point(study, method)
+        return point_params(study, method)["charted"], seconds
+
+    few, of_few = asked(400)
+    many, of_many = asked(1000)
+    to_accuracy, _ = asked(1000, accuracy=1e-8)
+
+    assert (few, many, to_accuracy) == (False, True, True)
+    assert of_many < of_few
