@@ -4,8 +4,6 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import numpy as np
-
 from gaitsweep.pipeline.grid.method import (
     Method,
     is_charted,
@@ -86,10 +84,7 @@ def integrated(study: Study, points: int, method: Method) -> int:
     """
     if method is not Method.INTERPOLATED:
         return points
-    panels = (
-        math.ceil(float(np.log(study.values_along.max() / study.values_along.min())))
-        + 1
-    )
+    panels = math.ceil(span(study)) + 1
     return min(points, study.lines * panels * (2 * nodes_for(study.accuracy) + 1))
 
 

@@ -70,7 +70,7 @@ class Meeting:
     error : ndarray, shape (2,)
         Bounds on the errors of its last two unknowns: ln slope and a key, or two keys.
     segment : int
-        Number of the curve's point before it.
+        Number of the point before it, of those that were followed.
     """
 
     name: str
@@ -86,7 +86,7 @@ class Turning(NamedTuple):
     Attributes
     ----------
     segment : int
-        Number of the point before it.
+        Number of the point before it, of those among which turnings were looked for.
     component : int
         -1 for the last unknown, -2 for the one before.
     X : ndarray, shape (u,)
