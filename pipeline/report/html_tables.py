@@ -98,33 +98,37 @@ def named(
     and columns, for the CSV file called after `name`. One that `is_open` has up to
     twice as many rows, and they are never folded.
     """
-    words, most = WORDS["tables"].get(name, {}), MAX_ROWS * (1 + is_open)
-    most = most if len(frame) <= most else _EXCERPT
-    left = len(frame) - most
-    notes = [
-        words.get("note", ""),
-        note,
-        f"{grouped(left)} more rows are in the {where}." if left > 0 else "",
-    ]
+    words = WORDS["tables"].get(name, {})
     caption = words.get("caption", spaced(name).replace("/", ": "))
     whole = frame if whole is None else whole
     file = re.sub(r"[^\w-]+", "-", name, flags=re.ASCII)
-    frame = _excerpt(name, frame, whole, most)
-    units, meanings = (frame.attrs.get(key, {}) for key in ("units", "meanings"))
-    names = [
-        "steps" if c == "period" and frame[c].dtype.kind in "iu" else _head(str(c))
-        for c in frame
-    ]
-    heads = [
-        with_unit(name, print_units(units.get(c, "")))
-        for c, name in zip(frame, names, strict=True)
-    ]
-    rows = [
-        list(row)
-        for row in zip(*(column_cells(str(c), frame) for c in frame), strict=True)
-    ]
-    about, means = " ".join(filter(None, notes)), [meanings.get(c, "") for c in frame]
+
+    most = MAX_ROWS * (1 + is_open)
+    if len(frame) > most:
+        most = _EXCERPT
+    notes = [words.get("note", ""), note]
+    if len(frame) > most:
+        notes.append(f"{grouped(len(frame) - most)} more rows are in the {where}.")
+    about = " ".join(filter(None, notes))
+
+    shown = _excerpt(name, frame, whole, most)
+    heads = [_head_with_unit(str(column), shown) for column in shown]
+    cells = [column_cells(str(column), shown) for column in shown]
+    rows = [list(row) for row in zip(*cells, strict=True)]
+    meanings = shown.attrs.get("meanings", {})
+    means = [meanings.get(column, "") for column in shown]
     return Table(caption, heads, rows, about, means, file, whole, is_open=is_open)
+
+
+def _head_with_unit(column: str, frame: pd.DataFrame) -> str:
+    """Heading of a column of a frame, with its unit; a period in whole numbers counts
+    steps.
+    """
+    head = _head(column)
+    if column == "period" and frame[column].dtype.kind in "iu":
+        head = "steps"
+    unit = frame.attrs.get("units", {}).get(column, "")
+    return with_unit(head, print_units(unit))
 
 
 def _excerpt(

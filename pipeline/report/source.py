@@ -82,49 +82,64 @@ class Line:
         In an archive without branches a curve follows a label; of a branch that is
         followed a piece has the columns of its table.
         """
-        data, dims = self.data, ("slope", "gait")
-        if "gait" not in data.dims:
-            for _, rows in self.rows.groupby("branch", sort=False):
-                falls = rows["slope"].diff().bfill() < 0
-                parts = rows.groupby((falls != falls.shift()).cumsum())
-                yield from (part.sort_values("slope") for _, part in parts)
-            return
+        if "gait" in self.data.dims:
+            yield from self._pieces(variables)
+        else:
+            yield from self._followed()
+
+    def _followed(self) -> Iterator[pd.DataFrame]:
+        """Branches of the line's rows, parted where they turn, each in order of slope."""
+        for _, rows in self.rows.groupby("branch", sort=False):
+            falls = rows["slope"].diff().bfill() < 0
+            parts = rows.groupby((falls != falls.shift()).cumsum())
+            yield from (part.sort_values("slope") for _, part in parts)
+
+    def _pieces(self, variables: Sequence[str]) -> Iterator[pd.DataFrame]:
+        """Pieces of the branches of which the line's data has points."""
+        data = self.data
         wanted = dict.fromkeys((*variables, "spectral_radius", "stance_angle", *RATES))
+        dims = ("slope", "gait")
         names = [v for v in wanted if v in data and data[v].dims == dims]
-        slopes, gaits = data["slope"].values, data["gait"].values.astype(str)
-        shape = len(slopes), len(gaits)
-        branch = (
-            data["branch"].values
-            if "branch" in data
-            else np.broadcast_to(np.arange(len(gaits)), shape)
-        )
-        piece = data["piece"].values if "piece" in data else np.zeros(shape, int)
-        for number, part in sorted(
-            set(
-                zip(
-                    branch[branch >= 0].tolist(),
-                    piece[branch >= 0].tolist(),
-                    strict=True,
-                )
-            )
-        ):
+        slopes = data["slope"].values
+        labels = data["gait"].values.astype(str)
+        branch, piece = self._branch_and_piece()
+
+        on_branch = branch >= 0
+        pairs = np.column_stack([branch[on_branch], piece[on_branch]])
+        for number, part in np.unique(pairs, axis=0).tolist():
             here = (branch == number) & (piece == part)
             known = np.flatnonzero(here.any(axis=1))
             row = np.arange(known[0], known[-1] + 1)
-            has, column = here.any(axis=1)[row], here.argmax(axis=1)[row]
-            frame = {
-                name: np.where(has, data[name].values[row, column], np.nan)
-                for name in names
-            }
-            radius = frame.get("spectral_radius", np.full(len(row), np.nan))
-            stable = np.where(np.isnan(radius), np.nan, (radius < 1).astype(float))
-            about = {
-                "stable": stable,
-                "gait": np.where(has, gaits[column], ""),
-                "branch": number,
-                "piece": part,
-            }
-            yield pd.DataFrame({"slope": slopes[row], **frame, **about})
+            has = here.any(axis=1)[row]
+            column = here.argmax(axis=1)[row]
+
+            frame = pd.DataFrame({"slope": slopes[row]})
+            for name in names:
+                frame[name] = np.where(has, data[name].values[row, column], np.nan)
+            frame["stable"] = _stable(frame)
+            frame["gait"] = np.where(has, labels[column], "")
+            frame["branch"] = number
+            frame["piece"] = part
+            yield frame
+
+    def _branch_and_piece(self) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of the branch and of its piece of each gait (slope, gait); -1 where
+        there is no gait. Without branches each label is one.
+        """
+        data = self.data
+        shape = data.sizes["slope"], data.sizes["gait"]
+        labels = np.broadcast_to(np.arange(shape[1]), shape)
+        branch = data["branch"].values if "branch" in data else labels
+        piece = data["piece"].values if "piece" in data else np.zeros(shape, int)
+        return branch, piece
+
+
+def _stable(frame: pd.DataFrame) -> np.ndarray:
+    """1 where a gait is stable, 0 where it is not, NaN where its radius is unknown."""
+    if "spectral_radius" not in frame:
+        return np.full(len(frame), np.nan)
+    radius = frame["spectral_radius"].to_numpy()
+    return np.where(np.isnan(radius), np.nan, (radius < 1).astype(float))
 
 
 @dataclass(frozen=True)
