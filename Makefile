@@ -94,7 +94,7 @@ mutants: $(COMPLETE)
 	$(BIN)/python tests/mutants/draw.py $(DRAW) $(N) $(AGAIN)
 
 # Choose the tests of `make test`: those that docs name, then those that reach most, in so many seconds of processor time.
-BUDGET ?= 450
+BUDGET ?= 350
 tiers: $(COMPLETE)
 	$(BIN)/python tests/mutants/tiers.py $(BUDGET)
 

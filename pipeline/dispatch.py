@@ -2,6 +2,8 @@
 
 import contextlib
 import importlib
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 from gaitsweep.pipeline import terminal
@@ -51,6 +53,24 @@ def for_question(
     compact_code = resolve("gaitsweep.tasks.mechanics.kernel:compact_code")
     compact: contextlib.AbstractContextManager[None] = compact_code(_tell)
     return compact
+
+
+#: After how many seconds who waits for an answer is told what takes so long.
+_PATIENCE = 3.0
+
+
+@contextlib.contextmanager
+def telling(sentence: str) -> Iterator[None]:
+    """Tell who waits at a terminal or a notebook what is done, where that takes longer
+    than three seconds.
+    """
+    timer = threading.Timer(_PATIENCE, _tell, [sentence])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _tell(sentence: str) -> None:

@@ -274,9 +274,9 @@ def pytest_terminal_summary(
             terminalreporter.write_line(f"{name:<{width}}  {seconds:7.1f} s  {found}")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Bytes of an undisturbed run."""
+    """Bytes of an undisturbed run, one for all files of tests."""
     toy = Toy(tmp_path_factory.mktemp("whole"))
     toy.write()
     toy("run", "toy.toml")

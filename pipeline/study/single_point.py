@@ -1,10 +1,11 @@
 """The gaits of a walker at one slope, without a study."""
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gaitsweep.pipeline.dispatch import ask, for_question
+from gaitsweep.pipeline.dispatch import ask, for_question, telling
 from gaitsweep.pipeline.errors import NoGaitError
 from gaitsweep.pipeline.study import files, slopes, target
 from gaitsweep.pipeline.study.fields import VIOLATION_LIMITS
@@ -67,9 +68,18 @@ def solve(
     params |= {"slope": slope, "all": every, "steps": steps}
     if asked is not None:
         params["accuracy"] = accuracy(asked, Location("", "accuracy"))
-    with for_question():
+    with for_question(), _telling_of(steps):
         answer: dict[str, Any] = ask("solve", params)
     return answer
+
+
+def _telling_of(steps: int) -> contextlib.AbstractContextManager[None]:
+    """Tell who waits long why: gaits of several steps are searched for, and followed
+    from those of fewer, over all slopes.
+    """
+    if steps == 1:
+        return contextlib.nullcontext()
+    return telling(f"Following gaits of up to {steps} steps over all slopes.")
 
 
 def solve_at(

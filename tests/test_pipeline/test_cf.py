@@ -109,13 +109,23 @@ def mapping(name):
     }
 
 
+def by_one_worker(folder, names, *engine):
+    """The archive of each study, of one run whose only worker computes them in turn."""
+    files = []
+    for name in names:
+        files.append(folder / f"{len(files)}.toml")
+        files[-1].write_text(studies._study(mapping(name)).text)
+
+    command = [*GAITSWEEP, "run", *map(str, files), "--quiet", *engine]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+
+    kept = folder / "data" / "archive"
+    return {name: kept / f"{mapping(name)['name']}.nc" for name in names}
+
+
 @pytest.fixture(scope="module")
 def archives(tmp_path_factory):
-    """An archive of each study, each by worker processes of its own."""
-    folder = tmp_path_factory.mktemp("cf")
-    for name in STUDIES:
-        gaitsweep.run(mapping(name), jobs=1, archive=folder / f"{name}.nc", quiet=True)
-    return {name: folder / f"{name}.nc" for name in STUDIES}
+    return by_one_worker(tmp_path_factory.mktemp("cf"), [*STUDIES], "--jobs", "1")
 
 
 @pytest.mark.parametrize(
@@ -125,16 +135,16 @@ def archives(tmp_path_factory):
 def test_a_study_gives_the_same_bytes_whatever_its_worker_did_before(
     archives, tmp_path, engine
 ):
-    """All kinds by one worker process, in another order, two of them with claims."""
-    files = []
-    for name in reversed(STUDIES):
-        files.append(tmp_path / f"{len(files)}.toml")
-        files[-1].write_text(studies._study(mapping(name)).text)
-    command = [*GAITSWEEP, "run", *map(str, files), "--quiet", *engine]
-    subprocess.run([*command, "--fresh"], cwd=tmp_path, check=True, capture_output=True)
+    """All kinds by one worker process, in another order, two of them with claims; and
+    each by a worker of its own.
+    """
+    again = by_one_worker(tmp_path, [*reversed(STUDIES)], *engine)
+
     for name, archive in archives.items():
-        again = tmp_path / "data" / "archive" / f"{name.replace(' ', '-')}.nc"
-        assert again.read_bytes() == archive.read_bytes(), name
+        alone = tmp_path / f"{name}.nc"
+        gaitsweep.run(mapping(name), jobs=1, archive=alone, quiet=True)
+        assert again[name].read_bytes() == archive.read_bytes(), name
+        assert alone.read_bytes() == archive.read_bytes(), name
 
 
 def test_the_checker_of_the_conventions_finds_nothing(archives, tmp_path):
