@@ -24,6 +24,9 @@ _COLUMNS = [
     "reason",
 ]
 
+#: What is drawn of slopes on either side of level ground alone [rad].
+_ROOM = 0.01
+
 
 def page(frame: pd.DataFrame, title: str) -> str:
     """Return the page of a check.
@@ -55,10 +58,11 @@ def _sketch(frame: pd.DataFrame) -> Sketch:
     """The states on the walker's curves, coloured by verdict."""
     sketch = Sketch("check", 300)
     (axes,) = sketch.panels
-    low, high = _range(frame["slope"])
+    low, high = _edges(frame["slope"])
     for curve in frame.attrs["curves"]:
         slope, angle = curve["slope"], curve["stance_angle"]
-        inside = (slope >= 0.2 * low) & (slope <= 3.0 * high)
+        # Beyond the edges too, so that curves lead up to them.
+        inside = (slope >= 2 * low - high) & (slope <= 2 * high - low)
         axes.plot(slope[inside], angle[inside], color=MUTED, lw=1.2)
 
     found = frame["verdict"].unique().tolist()
@@ -69,7 +73,7 @@ def _sketch(frame: pd.DataFrame) -> Sketch:
         _draw_states(sketch, rows, verdict, colours.get(verdict, INK))
 
     least, most = _range(frame["stance_angle"])
-    axes.set_xlim(0.5 * low, 1.5 * high)
+    axes.set_xlim(low, high)
     axes.set_ylim(min(0.0, 1.2 * least), 1.2 * max(most, 0.01))
     sketch.draw_legend(set())
     shown = frame[["slope", "stance_angle", "verdict"]]
@@ -89,6 +93,14 @@ def _draw_states(sketch: Sketch, rows: pd.DataFrame, verdict: str, ink: str) -> 
         ms=4,
     )
     sketch.dot_key(verdict.replace("_", " "), ink, marker)
+
+
+def _edges(slope: pd.Series) -> tuple[float, float]:
+    """Least and largest slope of a picture, with room beside the states."""
+    low, high = _range(slope)
+    low, high = low - 0.5 * abs(low), high + 0.5 * abs(high)
+    is_one = low == high  # all states stand on level ground
+    return (low - _ROOM, high + _ROOM) if is_one else (low, high)
 
 
 def _range(values: pd.Series) -> tuple[float, float]:

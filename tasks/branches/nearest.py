@@ -202,7 +202,7 @@ def _nearest_points(
     similarity coordinates, and the numbers of the sections that may be of interest.
     """
     m = len(target)
-    points = np.hstack([*_between_nodes(branch)])
+    points = np.hstack([*between_nodes(branch)])
     apart = np.abs(np.diff(points[:m], axis=1)).max(axis=0)
     after = np.append(apart, 0.0)
     before = np.append(0.0, apart)
@@ -215,8 +215,8 @@ def _nearest_points(
     return points[:, nearest], np.flatnonzero(distance <= allowed)
 
 
-def _between_nodes(branch: Branch) -> Iterator[np.ndarray]:
-    """Nodes of each piece of a branch, and points between them."""
+def between_nodes(branch: Branch) -> Iterator[np.ndarray]:
+    """Yield the nodes of each piece of a branch, and points between them, in order."""
     for first, last in branch.pieces():
         nodes = np.arange(first, last + 1)
         places = np.linspace(first, last, _POINTS_BETWEEN * (last - first) + 1)

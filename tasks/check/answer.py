@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.nearest import between_nodes
 from gaitsweep.tasks.check.case import Case
 from gaitsweep.tasks.check.rows import State
-
-#: Points of each piece of a branch in a picture.
-_PICTURED = 200
+from gaitsweep.tasks.step.problem import Problem
 
 
 def answer(case: Case) -> dict[str, Any]:
@@ -19,7 +19,7 @@ def answer(case: Case) -> dict[str, Any]:
     flown = case.flown & (case.verdict == "gait")
     case.reason[flown] = "A gait, in the middle of a step."
 
-    curves = [_curve(branch) for branch in case.branches]
+    curves = [_curve(problem, branch) for problem, branch in _pictured(case)]
     judged = _columns(case, case.rows.state)
     nearest = _columns(case, case.nearest.state)
     nearest = {f"nearest_{name}": values for name, values in nearest.items()}
@@ -57,11 +57,19 @@ def _said(case: Case) -> dict[str, np.ndarray]:
     }
 
 
-def _curve(branch: Branch) -> dict[str, np.ndarray]:
-    """Points along a branch for a picture, several between its nodes."""
-    parts = []
-    for first, last in branch.pieces():
-        q = np.linspace(branch.q[first], branch.q[last], _PICTURED)
-        parts.append(branch.on_piece(first, last, q)[0])
-    Z = np.hstack(parts)
-    return {"slope": np.exp(Z[-1]), "stance_angle": np.exp(Z[0])}
+def _pictured(case: Case) -> Iterator[tuple[Problem, Branch]]:
+    """Branches with their problem: over slopes above 0 and, where rows are on other
+    ground, over all.
+    """
+    for _, problem, branches, counted in case.grounds.of(case.rows.slope):
+        if len(counted):
+            for branch in branches:
+                yield problem, branch
+
+
+def _curve(problem: Problem, branch: Branch) -> dict[str, np.ndarray]:
+    """Points along a branch for a picture, several between its nodes, which are where it
+    bends.
+    """
+    Z = np.hstack([*between_nodes(branch)])
+    return {"slope": problem.slopes(np.exp(Z[-1])), "stance_angle": np.exp(Z[0])}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,7 +68,8 @@ class Case:
     def __post_init__(self) -> None:
         n = len(self.rows.slope)
         self.n = n
-        self.problem, self.branches = self.grounds.problem, self.grounds.branches
+        self.problem = self.grounds.problem
+        self.branches = self.grounds.branches
         self.general = _general(self.walker, n)
 
         self.verdict = np.full(n, "", dtype="<U32")
@@ -197,11 +199,18 @@ class Case:
         """Find the gait nearest to each row at its slope."""
         lanes = self.open
         self.solve_gaits(lanes)
+        sets = [some_gaits(gaits, lanes) for gaits in self.candidates]
+        self.take_nearest(lanes, sets)
+
+    def take_nearest(self, lanes: Numbers, sets: Sequence[Gaits]) -> None:
+        """Make the nearest of some sets of gaits, of k lanes, the nearest of some k rows
+        where it is nearer than the one they have.
+        """
         state = self.states(lanes)
-        for gaits in self.candidates:
-            distance = relative_distance(state, gaits.state[:, lanes])
-            nearer = distance < self.distance[lanes]
-            self.set_nearest(lanes[nearer], some_gaits(gaits, lanes[nearer]))
+        for gaits in sets:
+            distance = relative_distance(state, gaits.state)
+            nearer = np.flatnonzero(distance < self.distance[lanes])
+            self.set_nearest(lanes[nearer], some_gaits(gaits, nearer))
 
 
 def _general(walker: Walker, n: int) -> Lanes:

@@ -9,9 +9,9 @@ import numpy as np
 
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.nearest import Gaits, nearest_on_branches
-from gaitsweep.tasks.check.case import CHANGED, Case, some_gaits
+from gaitsweep.tasks.check.case import CHANGED, Case
 from gaitsweep.tasks.check.one_step import say_gaits
-from gaitsweep.tasks.check.rows import magnitudes, relative_change
+from gaitsweep.tasks.check.rows import magnitudes, relative_change, relative_distance
 from gaitsweep.tasks.mechanics.arrays import Numbers, Slopes
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.problem import Problem
@@ -40,11 +40,17 @@ class _OnBranch:
         """Slopes (n,) [rad] so far along."""
         return self.problem.slopes(self.counted * np.exp(along))
 
-    def up_to(self, slope: Slopes) -> np.ndarray:
-        """How far along slopes (n,) are; none where the branch has no such slope."""
-        base = self.problem.drive.at_slope or 0.0
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(np.log(slope - base) - np.log(self.counted))
+    def clipped(self, low: Slopes, high: Slopes) -> np.ndarray:
+        """How far along gaits are nearest among those of slopes (n,) from low to high."""
+        first = self._up_to(low)
+        first[np.isnan(first)] = -np.inf  # where the branch has no slope so low
+        return np.clip(self.along, first, self._up_to(high))
+
+    @np.errstate(invalid="ignore", divide="ignore")
+    def _up_to(self, slope: Slopes) -> np.ndarray:
+        """How far along slopes (n,) are; NaN where the branch has none such."""
+        counted = self.problem.drive.counted(slope)
+        return np.asarray(np.log(counted) - np.log(self.counted))
 
 
 def judge_rounded_slopes(case: Case) -> None:
@@ -66,21 +72,21 @@ def judge_rounded_slopes(case: Case) -> None:
 
 
 def _judge_rounded(case: Case, lanes: Numbers, every: Iterator[_OnBranch]) -> None:
-    """Tell rows that are gaits of slopes that may have been rounded to theirs, from the
-    nearest of each branch.
+    """Tell rows that are gaits of slopes that may have been rounded to theirs: the
+    nearest to them among all gaits of that slope, which names it, too.
     """
     rounding = case.rows.slope_rounding[lanes]
-    slope = case.slopes(lanes)
-    for found in every:
-        low = found.up_to(slope - rounding)
-        high = found.up_to(slope + rounding)
-        low[np.isnan(low)] = -np.inf
-        along = np.clip(found.along, low, high)
+    origin = _origins(case, lanes, every, 1.0, rounding)
+    are = np.isfinite(origin)
+    lanes, origin = lanes[are], origin[are]
+    if not len(lanes):
+        return
 
-        are = _are(case, found, along, lanes, 1.0)
-        case.set_nearest(lanes[are], some_gaits(found.gaits, np.flatnonzero(are)))
-        say_gaits(case, lanes[are])
-        _tell_slopes(case, lanes[are], found.slopes(along)[are])
+    # What is nearest at the slope that was given counts no more.
+    case.distance[lanes] = np.inf
+    case.take_nearest(lanes, case.grounds.gaits_at(origin))
+    say_gaits(case, lanes)
+    _tell_slopes(case, lanes, origin)
 
 
 def _tell_slopes(case: Case, lanes: Numbers, belong: np.ndarray) -> None:
@@ -107,23 +113,38 @@ def judge_slopes(case: Case) -> None:
 
 def _judge_slopes(case: Case, lanes: Numbers, every: Iterator[_OnBranch]) -> None:
     """Tell rows that are the gaits nearest to them on branches, at any slope."""
+    anywhere = np.full(len(lanes), np.inf)
+    origin = _origins(case, lanes, every, CHANGED, anywhere)
+    are = np.isfinite(origin)
+    case.say_slope(lanes[are], origin[are])
+
+
+def _origins(
+    case: Case,
+    lanes: Numbers,
+    every: Iterator[_OnBranch],
+    factor: float,
+    reach: Slopes,
+) -> Slopes:
+    """Slopes (k,) of the gaits that some rows are, within reach of their own; of the
+    nearest gait where several branches have one, NaN where none has.
+    """
+    state, slope = case.states(lanes), case.slopes(lanes)
+    origin = np.full(len(lanes), np.nan)
+    least = np.full(len(lanes), np.inf)
     for found in every:
-        are = _are(case, found, found.along, lanes, CHANGED)
-        slopes = found.slopes(found.along)
-        case.say_slope(lanes[are], slopes[are])
+        along = found.clipped(slope - reach, slope + reach)
+        moved = along * found.changes
+        gait = found.gaits.state + moved
 
-
-def _are(
-    case: Case, found: _OnBranch, along: np.ndarray, lanes: Numbers, factor: float
-) -> np.ndarray:
-    """Which of some rows without a verdict are the gaits found, so far along."""
-    moved = along * found.changes
-    # Slopes counted from far below change less than states.
-    way = np.fmax(np.abs(along), relative_change(moved, found.gaits.state))
-    is_straight = way <= _STRAIGHT
-    gait = found.gaits.state + moved
-    are = case.within(case.states(lanes), gait, lanes, factor)
-    return np.asarray(are & is_straight & (case.verdict[lanes] == ""))
+        # Slopes counted from far below change less than states.
+        way = np.fmax(np.abs(along), relative_change(moved, found.gaits.state))
+        are = case.within(state, gait, lanes, factor) & (way <= _STRAIGHT)
+        distance = relative_distance(state, gait)
+        nearer = are & (distance < least)
+        origin[nearer] = found.slopes(along)[nearer]
+        least[nearer] = distance[nearer]
+    return origin
 
 
 def _on_branches(case: Case, lanes: Numbers) -> Iterator[_OnBranch]:
@@ -137,7 +158,7 @@ def _on_any_ground(case: Case, lanes: Numbers) -> Iterator[_OnBranch]:
     lead uphill, too.
     """
     if len(lanes) and case.grounds.is_driven:
-        problem, branches = case.grounds.over_any_slope(case.rows.slope)
+        problem, branches = case.grounds.over_any_slope
         yield from _nearest(case, lanes, problem, branches)
 
 

@@ -93,6 +93,10 @@ class Drive:
             return self.at_slope + drive
         return np.full(np.shape(drive), self.at_slope)
 
+    def counted(self, slope: ndarray) -> ndarray:
+        """Return the values of a drive that is the slope at slopes (n,) [rad]."""
+        return slope - (self.at_slope or 0.0)
+
     def constants(
         self, structure: Structure, constants: ndarray, drive: ndarray
     ) -> ndarray:

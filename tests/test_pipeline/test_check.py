@@ -9,6 +9,7 @@ import pytest
 
 import gaitsweep
 from gaitsweep.pipeline.cli import commands
+from gaitsweep.tasks.branches import atlas
 from gaitsweep.tasks.branches.nearest import described
 from gaitsweep.tasks.check import several_steps
 from gaitsweep.tasks.check.case import Case
@@ -935,6 +936,82 @@ def test_a_slope_uphill_may_have_been_rounded_to_level_ground_too():
 
     assert rounded["verdict"].tolist() == ["gait", "gait"]
     assert "which may have been -0.003456" in rounded["reason"][0]
+
+
+@pytest.mark.parametrize("label", ["long", "short", "other1", "other2"])
+def test_a_gait_of_a_rounded_slope_is_called_what_it_is_there(label):
+    """Of four gaits of this slope two branches are near one another, and were called by
+    whether they are long alone.
+    """
+    keys = {"push_off": 0.05}
+    state = gait_of("D", -0.00432, label, **keys)
+    table = dict(zip(NAMES, np.round(state, 4)[:, None], strict=True))
+    table["slope"] = [-0.0043]
+
+    row = gaitsweep.check(table, "D", **keys).iloc[0]
+
+    assert row["verdict"] == "gait" and row["gait"] == label
+    assert row["distance"] < 1e-3
+
+
+def _table(states, slope):
+    columns = dict(zip(NAMES, np.transpose(states), strict=True))
+    return pd.DataFrame(columns | {"slope": slope})
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("keys", [{"push_off": 0.1}, {"hip_torque": 0.02}])
+def test_a_row_is_judged_the_same_alone_and_in_any_table(keys):
+    """Surveys once began at a table's steepest and gentlest slope uphill."""
+    slopes = np.array([-0.003, 0.0, 0.002, 0.01])
+    states = [gait_of("B", slope, **keys) for slope in slopes]
+    table = _table(states * 2, [*slopes, *np.roll(slopes, 1)])
+    compared = ["verdict", "gait", "distance", "belongs_to_slope"]
+
+    whole = gaitsweep.check(table, "B", **keys)
+    order = np.random.default_rng(1).permutation(len(table))
+    shuffled = gaitsweep.check(table.iloc[order], "B", **keys)
+    alone = [gaitsweep.check(table.iloc[[i]], "B", **keys) for i in order]
+
+    expected = whole.iloc[order][compared].reset_index(drop=True)
+    assert expected["verdict"].value_counts().to_dict() == {"gait": 4, "slope": 4}
+    for found in (shuffled, pd.concat(alone, ignore_index=True)):
+        pd.testing.assert_frame_equal(found[compared], expected, rtol=1e-9, atol=1e-9)
+
+
+def test_what_a_table_asks_of_level_ground_is_surveyed_once(monkeypatch):
+    """A hundred rows at as many slopes took a survey of the drive each."""
+    surveyed = []
+    survey = atlas.survey
+
+    def counting(problem, *more):
+        surveyed.append(problem.drive)
+        return survey(problem, *more)
+
+    monkeypatch.setattr(atlas, "survey", counting)
+    keys = {"push_off": 0.0987}
+    slope = -np.linspace(1e-4, 0.005, 30)
+
+    found = gaitsweep.check(_table([[0.3, -0.3, -0.2]] * 30, slope), "B", **keys)
+
+    assert len(found) == 30
+    # Downhill and, unless a walker that differs by its push-off was, on level ground.
+    assert len(surveyed) <= 2
+
+
+@pytest.mark.parametrize("slope", [-0.005, 0.0, 0.01])
+def test_driven_gaits_stand_on_the_curves_of_the_picture(slope):
+    keys = {"push_off": 0.1}
+    states = [gait_of("B", slope, label, **keys) for label in ("long", "short")]
+
+    curves = gaitsweep.check(states, "B", slope, **keys).attrs["curves"]
+
+    for angle, *_ in states:
+        off = [
+            np.hypot(curve["slope"] - slope, curve["stance_angle"] - angle).min()
+            for curve in curves
+        ]
+        assert min(off) < 5e-3
 
 
 def test_how_steps_from_a_state_end_is_told():
