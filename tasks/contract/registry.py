@@ -70,10 +70,10 @@ TASKS = {
         Task(
             "points",
             "gaitsweep.tasks.studies.solve_points:points",
-            28,
+            29,
             needs=("atlas",),
         ),
-        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 1),
+        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 2),
         Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 10),
         Task(
             "trace", "gaitsweep.tasks.studies.trace_motion:trace", 7, needs=("atlas",)
@@ -81,7 +81,7 @@ TASKS = {
         Task(
             "branch",
             "gaitsweep.tasks.studies.follow_branches:branch",
-            24,
+            25,
             needs=("atlas",),
         ),
         Task(
@@ -103,7 +103,7 @@ TASKS = {
         Task("design", "gaitsweep.tasks.studies.map_designs:design", 26),
         Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 1),
         Task("census", "gaitsweep.tasks.studies.count_gaits:census", 17),
-        Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 1),
+        Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 2),
         Task(
             "scaling", "gaitsweep.tasks.studies.fit_laws:scaling", 6, needs=("points",)
         ),
