@@ -55,7 +55,7 @@ def gaits_over_key(gaits: Equations) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
     def starts() -> Iterator[np.ndarray]:
         for value, walker in zip(values, walkers, strict=True):
-            for w in _gaits_at(walker, slope):
+            for w in gaits_at(walker, slope):
                 yield np.append(w, value / scale)
 
     yield from _curves(gaits, starts(), (low / scale, high / scale))
@@ -82,7 +82,7 @@ def gaits_over_slope(
     def starts() -> Iterator[np.ndarray]:
         for share in SURVEYED:
             slope = low + share * (high - low)
-            for w in _gaits_at(problem.walker, slope):
+            for w in gaits_at(problem.walker, slope):
                 yield np.append(w, np.log(slope - base))
 
     window = float(np.log(low - base)), float(np.log(high - base))
@@ -116,7 +116,7 @@ def survey_together(walkers: Sequence[Walker]) -> None:
         survey(some, structure, COARSE)
 
 
-def _gaits_at(walker: Walker, slope: float) -> Iterator[np.ndarray]:
+def gaits_at(walker: Walker, slope: float) -> Iterator[np.ndarray]:
     """Gaits w (c - 1,) of a walker at a slope, by the polynomials of its branches: over the
     slope or, on level ground and uphill, over what drives there.
     """
