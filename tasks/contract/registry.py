@@ -102,7 +102,7 @@ TASKS = {
         ),
         Task("design", "gaitsweep.tasks.studies.map_designs:design", 26),
         Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 1),
-        Task("census", "gaitsweep.tasks.studies.count_gaits:census", 17),
+        Task("census", "gaitsweep.tasks.studies.count_gaits:census", 18),
         Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 2),
         Task(
             "scaling", "gaitsweep.tasks.studies.fit_laws:scaling", 6, needs=("points",)
@@ -172,7 +172,7 @@ LOSS_WINDOWS = {"D": (0.01, 0.0195), "C": (0.07, 0.1), "C-printed": (0.07, 0.1)}
 #: Keys over which gaits are followed where the slope does not drive, the first of those
 #: that vary; and the kinds of studies whose gaits may be followed over one.
 DRIVES = ("push_off", "hip_torque")
-OVER_DRIVE = ("branch", "cascade", "orbit", "basin")
+OVER_DRIVE = ("branch", "cascade", "orbit", "basin", "census")
 
 #: Kinds whose slopes are a window, between the least and the largest.
 WINDOWED = ("branch", "cascade", "curve", "design")
