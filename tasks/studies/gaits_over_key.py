@@ -1,6 +1,4 @@
-"""Gaits as curves over a key of the walker at a fixed slope, and over slopes that lead
-uphill, too.
-"""
+"""Gaits as curves over a key of the walker at a fixed slope."""
 
 from __future__ import annotations
 
@@ -59,34 +57,6 @@ def gaits_over_key(gaits: Equations) -> Iterator[tuple[np.ndarray, np.ndarray]]:
                 yield np.append(w, value / scale)
 
     yield from _curves(gaits, starts(), (low / scale, high / scale))
-
-
-def gaits_over_slope(
-    gaits: Equations, low: float, high: float
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the curves of a driven walker's gaits over slopes that lead uphill, too.
-
-    Parameters
-    ----------
-    gaits : Equations
-        Of gaits over slopes, counted from one below `low`.
-    low, high : float [rad]
-
-    Yields
-    ------
-    points, tangents : ndarray, shape (p, u)
-    """
-    problem = gaits.problem
-    base = problem.drive.at_slope or 0.0
-
-    def starts() -> Iterator[np.ndarray]:
-        for share in SURVEYED:
-            slope = low + share * (high - low)
-            for w in gaits_at(problem.walker, slope):
-                yield np.append(w, np.log(slope - base))
-
-    window = float(np.log(low - base)), float(np.log(high - base))
-    yield from _curves(gaits, starts(), window)
 
 
 def _curves(
