@@ -43,22 +43,20 @@ def check_walkers(
             _check_curve(study, candidate, values, top.at("options"))
         if study.kind == "optimum":
             _check_optimum(study, candidate, values, top.at("options"))
-        driven = check["driven"] or _drives(study, line_of(candidate, values))
-        checks[number] = _together(checks.get(number, check), check, driven)
+        for each in (*_checks_in_ranges(study, line_of(candidate, values)), check):
+            checks[number] = _together(checks.get(number, each), each)
     return tuple(checks.values())
 
 
-def _together(
-    known: dict[str, Any], check: dict[str, Any], driven: bool
-) -> dict[str, Any]:
-    """What is known of a walker after another corner, where it may be driven: what it
-    has at any corner, it has on some lines.
+def _together(known: dict[str, Any], check: dict[str, Any]) -> dict[str, Any]:
+    """What is known of a walker after another corner: what it has at any corner, it has
+    on some lines.
     """
     features = dict.fromkeys((*known["features"], *check["features"]))
     return {
         **check,
         "features": tuple(features),
-        "driven": known["driven"] or driven,
+        "driven": known["driven"] or check["driven"],
         "massless_leg": known["massless_leg"] or check["massless_leg"],
         "keys": max(known["keys"], check["keys"]),
     }
@@ -152,16 +150,16 @@ def _can_be(walker: Definition, values: dict[str, float]) -> bool:
     return True
 
 
-def _drives(study: Study, line: dict[str, Any]) -> bool:
-    """Whether more than gravity drives a walker at any corner of the plane over which
-    curves are followed.
+def _checks_in_ranges(study: Study, line: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """What `tasks` reports of a walker at each corner of the plane over which curves are
+    followed, or of the ranges of the keys that are free.
     """
-    plane = study.options.get("plane", {})
-    corners = itertools.product(*plane.values()) if plane else ()
-    return any(
-        dispatch.call("check_walker", {**line, "set": {**line["set"], **own}})["driven"]
-        for own in (dict(zip(plane, corner, strict=True)) for corner in corners)
-    )
+    ranges = study.options.get("plane") or study.options.get("free") or {}
+    if not ranges:
+        return
+    for corner in itertools.product(*ranges.values()):
+        own = dict(zip(ranges, corner, strict=True))
+        yield dispatch.call("check_walker", {**line, "set": {**line["set"], **own}})
 
 
 def _check_plane(

@@ -213,6 +213,9 @@ def _level_ground_has_its_kinds(study: Study, top: Location) -> Iterator[StudyEr
     is_pointwise = study.kind in ("grid", "orbit", "basin")
     if not level or is_pointwise or study.drive or "plane" in study.options:
         return
+    if study.kind == "optimum":
+        yield from _optima_have_one_level_slope(study, top)
+        return
     wrong = f"`slope` {slopes.BOUND} in studies of kind `{study.kind}`"
     instead = "grids, orbits and basins of driven walkers have gaits"
     if study.kind == "curve":
@@ -233,6 +236,16 @@ def _level_ground_has_its_kinds(study: Study, top: Location) -> Iterator[StudyEr
     yield top.at("axes", "slope").error(
         f"{wrong}; got {level[0]:g}: on level ground and uphill {instead}"
     )
+
+
+def _optima_have_one_level_slope(study: Study, top: Location) -> Iterator[StudyError]:
+    """The slopes of an optimum are a window of positive ones, or one of any sign."""
+    low, high = float(study.values_along.min()), float(study.values_along.max())
+    if low != high:
+        yield top.at("axes", "slope").error(
+            f"Slopes of an optimum must be all > 0, or one that is 0 or below; got "
+            f"{low:g} and {high:g}"
+        )
 
 
 def _level_ground_needs_a_drive(study: Study, top: Location) -> Iterator[StudyError]:

@@ -70,10 +70,10 @@ TASKS = {
         Task(
             "points",
             "gaitsweep.tasks.studies.solve_points:points",
-            28,
+            29,
             needs=("atlas",),
         ),
-        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 1),
+        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 2),
         Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 10),
         Task(
             "trace", "gaitsweep.tasks.studies.trace_motion:trace", 7, needs=("atlas",)
@@ -81,7 +81,7 @@ TASKS = {
         Task(
             "branch",
             "gaitsweep.tasks.studies.follow_branches:branch",
-            24,
+            25,
             needs=("atlas",),
         ),
         Task(
@@ -102,8 +102,8 @@ TASKS = {
         ),
         Task("design", "gaitsweep.tasks.studies.map_designs:design", 26),
         Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 1),
-        Task("census", "gaitsweep.tasks.studies.count_gaits:census", 17),
-        Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 1),
+        Task("census", "gaitsweep.tasks.studies.count_gaits:census", 18),
+        Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 2),
         Task(
             "scaling", "gaitsweep.tasks.studies.fit_laws:scaling", 6, needs=("points",)
         ),
@@ -172,7 +172,7 @@ LOSS_WINDOWS = {"D": (0.01, 0.0195), "C": (0.07, 0.1), "C-printed": (0.07, 0.1)}
 #: Keys over which gaits are followed where the slope does not drive, the first of those
 #: that vary; and the kinds of studies whose gaits may be followed over one.
 DRIVES = ("push_off", "hip_torque")
-OVER_DRIVE = ("branch", "cascade", "orbit", "basin")
+OVER_DRIVE = ("branch", "cascade", "orbit", "basin", "census")
 
 #: Kinds whose slopes are a window, between the least and the largest.
 WINDOWED = ("branch", "cascade", "curve", "design")

@@ -13,12 +13,6 @@ from gaitsweep.tasks.mechanics.contact import Chain, solve
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.walkers.walker import Walker
 
-#: Intervals of each phase whose ends give the loss in the damper to 1e-12 of itself.
-DAMPING_SAMPLES = 64
-#: Weights of samples at equal distances over an interval of length one, by which
-#: polynomials of their degree are integrated exactly; by the number of samples.
-_WEIGHTS: dict[int, ndarray] = {}
-
 
 @dataclass(frozen=True)
 class PushOff:
@@ -177,16 +171,14 @@ def hip_torque_work(walker: Walker, begin: ndarray, end: ndarray) -> ndarray:
     return np.asarray(bias * 2 * (begin + end))
 
 
-def damping_loss(walker: Walker, motion: list[ndarray], times: ndarray) -> ndarray:
+def damping_loss(walker: Walker, dissipated: ndarray) -> ndarray:
     """Compute the energy lost in the damper between the thighs over a step.
 
     Parameters
     ----------
     walker : Walker
-    motion : list of ndarray, shape (samples + 1, angles, n)
-        Angles and rates of each phase at equal times [rad, sqrt(g/leg)].
-    times : ndarray, shape (phases, n) [sqrt(leg/g)]
-        Ends of the phases.
+    dissipated : ndarray, shape (n,) [sqrt(g/leg)]
+        Integral over the step of the square of the rate at which the thighs open.
 
     Returns
     -------
@@ -194,41 +186,5 @@ def damping_loss(walker: Walker, motion: list[ndarray], times: ndarray) -> ndarr
     """
     chain = Chain(walker)
     damping = 0.0 if chain.massless else chain.hip_damping
-    durations = np.diff(times, axis=0, prepend=0.0)
-    losses = []
 
-    for phase, duration in zip(motion, durations, strict=True):
-        links = phase.shape[1] // 2
-        opening = phase[:, links + 1] - phase[:, links]
-
-        weights = _weights(len(opening))
-        lost = total(w * each for w, each in zip(weights, opening**2, strict=True))
-        losses.append(damping * duration * lost)
-    return np.asarray(total(losses))
-
-
-def _weights(samples: int) -> list[float]:
-    """Weights of samples by which a smooth function's integral over [0, 1] is a sum."""
-    if samples not in _WEIGHTS:
-        _WEIGHTS[samples] = _piecewise(samples)
-    return list(_WEIGHTS[samples].tolist())
-
-
-def _piecewise(samples: int, neighbours: int = 13) -> ndarray:
-    """Weights that integrate the polynomials through so many neighbours of each interval
-    between samples.
-    """
-    weights = np.zeros(samples)
-    n = min(neighbours, samples)
-    nodes, of_nodes = np.polynomial.legendre.leggauss(n // 2 + 1)
-
-    for k in range(samples - 1):
-        first = min(max(k - n // 2 + 1, 0), samples - n)
-        at = np.arange(first, first + n) - k
-        places = (nodes + 1) / 2
-
-        for i, own in enumerate(at):
-            others = np.delete(at, i)
-            shape = np.prod((places[:, None] - others) / (own - others), axis=1)
-            weights[first + i] += (of_nodes / 2) @ shape
-    return weights / (samples - 1)
+    return np.asarray(damping * dissipated)

@@ -23,7 +23,6 @@ from gaitsweep.tasks.gaits.polish import Polished
 from gaitsweep.tasks.gaits.step_check import gait_ratio
 from gaitsweep.tasks.measures import violations
 from gaitsweep.tasks.measures.drive import (
-    DAMPING_SAMPLES,
     PushOff,
     damping_loss,
     hip_torque_work,
@@ -590,7 +589,7 @@ class Steps:
         if walker.has_hip_torque:
             damped = np.zeros(len(end))
             if np.any(walker.hip_damping):
-                damped = damping_loss(walker, self._motion_alone(), self.times)
+                damped = damping_loss(walker, self._dissipation())
             losses["loss_damping"] = damped * unit
         return losses
 
@@ -605,13 +604,13 @@ class Steps:
         """
         return [part * self.scale for part in self._fine.one.motion]
 
-    def _motion_alone(self) -> list[np.ndarray]:
-        """Samples of the motion as `motion` has them, fewer, flown without derivatives."""
+    def _dissipation(self) -> np.ndarray:
+        """Integral over each step of the square of the rate at which thighs open."""
         parameters = self.problem.parameters(self.slope, self.scale)
-        motion = self.problem.step.motion(
-            self.y / self.scale, self.times, parameters, DAMPING_SAMPLES
+        of_scaled = self.problem.step.dissipation(
+            self.y / self.scale, self.times, parameters
         )
-        return [part * self.scale for part in motion]
+        return of_scaled * self.scale**2
 
     @cached_property
     def _fine(self) -> Stride | Strides:

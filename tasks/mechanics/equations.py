@@ -322,6 +322,12 @@ class Motion:
             matrix[1][0] = matrix[1][0] - factor
             matrix[1][1] = matrix[1][1] + factor
 
+    def by_drive(self, drive: str) -> list[Sym]:
+        """Derivatives of the residual by what drives the motion."""
+        if drive == "hip_torque":
+            return self.by_hip_torque()
+        return self.by_slope()
+
     def by_hip_torque(self) -> list[Sym]:
         """Derivatives of the residual by the constant torque between the thighs."""
         p = self.p
@@ -400,7 +406,11 @@ class System:
 
 
 def system(
-    structure: Structure, free_knee: bool, directions: int, with_slope: bool
+    structure: Structure,
+    free_knee: bool,
+    directions: int,
+    with_slope: bool,
+    dissipates: bool = False,
 ) -> System:
     """The flow's right-hand side: the motion and, beside it, its first-order
     variations.
@@ -416,11 +426,15 @@ def system(
     with_slope : bool
         True where the last of them is the derivative by the slope, or by the torque
         between the thighs where that is the structure's drive.
+    dissipates : bool
+        Also integrate the square of the rate at which the thighs open, to which the
+        power of a damper between them is proportional.
 
     Returns
     -------
     System
-        States are angles, then rates, then the same of each variation.
+        States are angles, then rates, then the same of each variation; what dissipates
+        comes last.
 
     Notes
     -----
@@ -443,13 +457,19 @@ def system(
         dv = _variables(f"dv{{}}_{d}", n)
         change = _product(by_q, dq, by_rate, dv)
         if with_slope and d == directions - 1:
-            by_drive = motion.by_slope()
-            if structure.drive == "hip_torque":
-                by_drive = motion.by_hip_torque()
+            by_drive = motion.by_drive(structure.drive)
             change = [a + b for a, b in zip(change, by_drive, strict=True)]
         variation = solve([-x for x in change])
         equations += [*zip(dq, dv, strict=True), *zip(dv, variation, strict=True)]
+
+    if dissipates:
+        equations.append(_dissipated(rate))
     return System(equations, p.held_values or [], p.variables)
+
+
+def _dissipated(rate: list[Sym]) -> tuple[Sym, Sym]:
+    """The equation of what a damper of unit damping between the thighs dissipates."""
+    return hy.make_vars("w"), (rate[1] - rate[0]) ** 2.0
 
 
 def _variables(name: str, n: int) -> list[Sym]:

@@ -44,6 +44,9 @@ LANES = int(os.environ.get("GAITSWEEP_LANES") or _register())
 #: Tolerance of the exact flows: order 18, whose truncation error is a fiftieth of
 #: rounding.
 _FINE = 1.75e-15
+#: Tolerance of an integral along a motion: order 16, the error of what a damper
+#: dissipates 2e-15 of it, as a gait's own motion is flown in full.
+_INTEGRAL = 1e-13
 #: Tolerance of a search's flows, which only give the exact ones their initial guesses.
 _COARSE = 1e-7
 
@@ -195,8 +198,9 @@ class Flow:
         with_slope: bool,
         coarse: bool,
         compact: bool = False,
+        dissipates: bool = False,
     ):
-        motion = system(structure, structure.kneed, directions, with_slope)
+        motion = system(structure, structure.kneed, directions, with_slope, dissipates)
         #: What comes after these among a walker's parameters only the strikes need.
         self._used = len(structure.parameters)
         self.size, self.angles = len(motion.equations), (6 if structure.kneed else 4)
@@ -205,10 +209,11 @@ class Flow:
         self.lanes = max(LANES, 8) if ("eps", 0.0) in structure.units else LANES
         self.evaluations = self.idle = 0
         self.seconds = 0.0
+        exact = _INTEGRAL if dissipates else _FINE
         self._ta = hy.taylor_adaptive_batch(
             motion.equations,
             state=np.zeros((self.size, self.lanes)),
-            tol=_COARSE if coarse else _FINE,
+            tol=_COARSE if coarse else exact,
             **(COMPACT if compact else {}),
         )
         self._parameters = motion.parameters(batch_size=LANES)
@@ -308,7 +313,11 @@ FLOWS: dict[tuple[Any, ...], Flow] = {}
 
 
 def flow(
-    structure: Structure, directions: int, with_slope: bool, coarse: bool = False
+    structure: Structure,
+    directions: int,
+    with_slope: bool,
+    coarse: bool = False,
+    dissipates: bool = False,
 ) -> Flow:
     """Return the compiled flow of a structure, one a process; the compiled code is kept
     on disk between processes.
@@ -324,19 +333,23 @@ def flow(
         True where the last of them is the derivative by the slope.
     coarse : bool
         Integrate to the search's tolerance only.
+    dissipates : bool
+        Whether the last number of a state is what a damper of unit damping between the
+        thighs dissipates, in scaled rates.
     """
     compact = is_compact()
     structure = structure.between_strikes()
-    key = structure, directions, with_slope, coarse, compact
+    key = structure, directions, with_slope, coarse, compact, dissipates
     if key not in FLOWS:
         prepare_compiler()
         # Who follows branches needs both flows: two workers compile one each.
         other = (structure, directions + 1, True)
+        is_single = with_slope or coarse or dissipates
         with (
             _waiting.telling(_teller.get()),
             compile_cache.turn(
                 repr(key),
-                (lambda: None) if with_slope or coarse else (lambda: flow(*other)),
+                (lambda: None) if is_single else (lambda: flow(*other)),
             ),
         ):
             FLOWS[key] = Flow(*key)

@@ -140,6 +140,16 @@ class Drive:
             return tuple(slope ** (2 / 3) for slope in slopes)
         return tuple(slope / 2 * self._size(walker) for slope in slopes)
 
+    def like_slope(self, walker: Walker, drive: float) -> float:
+        """Return the slope [rad] on which steps are as long as at a value: what
+        `anchors` takes to it.
+        """
+        if self.key == PUSH_OFF:
+            return drive**1.5
+        if self.key == HIP_TORQUE:
+            return 2 * drive / self._size(walker)
+        return drive
+
     def _size(self, walker: Walker) -> float:
         """The lumped value of a torque of one weight times leg; 1 of other drives."""
         return 1 / lump(walker)["eps"] if self.key == HIP_TORQUE else 1.0

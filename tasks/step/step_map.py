@@ -41,7 +41,7 @@ from gaitsweep.tasks.mechanics.kernel import (
     whole_groups,
 )
 from gaitsweep.tasks.mechanics.lumped import Structure, locked
-from gaitsweep.tasks.mechanics.sums import matvec
+from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.step.lanes import slices
 from gaitsweep.tasks.step.symbols import (
     derivatives_along,
@@ -165,6 +165,29 @@ class _Phase(NamedTuple):
     parameters: Parameters
     duration: PerLane
     width: int
+
+
+class _Flown(NamedTuple):
+    """A phase integrated: the state at its end, then its directions as rows; samples of
+    its motion; and, where it is asked for, what a unit damper dissipated.
+    """
+
+    end: np.ndarray
+    motion: np.ndarray
+    dissipated: np.ndarray
+
+
+class _Kneestrike(NamedTuple):
+    """What kneestrike makes of a phase: the state after, (4, n), directions as parts
+    along and beside the field, (4 (m + 2), n), the guard with its derivatives and rate,
+    (m + 3, n), and the state before with its derivatives by y, (6 (1 + m), n); empty
+    for straight legs.
+    """
+
+    after: States
+    parts: np.ndarray
+    guard: np.ndarray
+    before: np.ndarray
 
 
 class StrideMap:
@@ -323,39 +346,32 @@ class StrideMap:
             NaN in lanes whose integration failed.
         """
         m, n = y.shape
+        begin = self._begin(y, parameters, slope)
         # Along its motion nothing but the slope or a torque acts.
         in_motion = slope and not self.by_push
-        options = in_motion, samples, coarse
-        start, D = self._begin(y, parameters, slope)
-        phase = _Phase(self.structure, start, D, parameters, times[0], m + 1)
-        parts = guard = strike = np.empty((0, n))
-        motion = []
+        fly = functools.partial(
+            _integrate, slope=in_motion, samples=samples, coarse=coarse
+        )
+        flown, strike = self._fly(fly, begin, parameters, times, 3 + in_motion)
 
-        if self.kneed:
-            end, motion_of_free = _integrate(phase, *options)
-            motion.append(motion_of_free)
-            state, parts, guard, strike = self._kneestrike(end, parameters)
-            phase = self._locked_phase(state, in_motion, parameters, times)
-        end, motion_of_locked = _integrate(phase, *options)
-        motion.append(motion_of_locked)
-
-        inputs = np.vstack([y, end, parts, guard, parameters])
+        end = flown[-1].end
+        inputs = np.vstack([y, end, strike.parts, strike.guard, parameters])
         out = self._apply(self._finish, inputs)
         angles = 6 if self.kneed else 0
 
         return Stride(
-            **self._by_times(out, times, self._times_by(parts, n)),
+            **self._by_times(out, times, self._times_by(strike.parts, n)),
             y=y,
-            start=start,
-            knee=strike[:angles],
-            knee_by_y=strike[angles:].reshape(angles, m, n),
-            motion=motion,
+            start=begin[0],
+            knee=strike.before[:angles],
+            knee_by_y=strike.before[angles:].reshape(angles, m, n),
+            motion=[phase.motion for phase in flown],
         )
 
-    def motion(
-        self, y: Sections, times: Times, parameters: Parameters, samples: int
-    ) -> Motion:
-        """Sample steps without their derivatives, at a small share of the cost.
+    def dissipation(self, y: Sections, times: Times, parameters: Parameters) -> PerLane:
+        """Integrate over steps the square of the rate at which the thighs open.
+
+        They are flown without derivatives, at a small share of the cost.
 
         Parameters
         ----------
@@ -364,38 +380,50 @@ class StrideMap:
         times : ndarray, shape (k, n) [sqrt(leg/g)]
             The heelstrike time, or (kneestrike, heelstrike).
         parameters : ndarray, shape (n_parameters, n)
-        samples : int
-            Equal intervals of each phase.
 
         Returns
         -------
-        list of ndarray, shape (samples + 1, angles, n)
-            Scaled angles and rates of each phase.
+        ndarray, shape (n,)
+            Of scaled rates: what a damper of unit damping dissipates.
         """
-        options = False, samples, False
-        start, D = self._begin(y, parameters, False)
-        phase = _Phase(
-            self.structure, start, D[:, :0], parameters, times[0], self.m + 1
-        )
-        motion = []
-        if self.kneed:
-            end, motion_of_free = _integrate(phase, *options)
-            motion.append(motion_of_free)
-            state, *_ = self._kneestrike(end, parameters)
-            phase = self._locked_phase(state, False, parameters, times)
-            phase = phase._replace(D=phase.D[:, :0])
-        _, motion_of_locked = _integrate(phase, *options)
+        state, D = self._begin(y, parameters, False)
+        begin = state, D[:, :0]
+        flown, _ = self._fly(_integrate_dissipation, begin, parameters, times, 0)
 
-        return [*motion, motion_of_locked]
+        return total(phase.dissipated for phase in flown)
+
+    def _fly(
+        self,
+        fly: Callable[[_Phase], _Flown],
+        begin: tuple[States, np.ndarray],
+        parameters: Parameters,
+        times: Times,
+        beside: int,
+    ) -> tuple[list[_Flown], _Kneestrike]:
+        """Fly the phases of a step, from its first state with its directions, and what
+        kneestrike makes of them; so many directions beside the field from there on.
+        """
+        state, D = begin
+        phase = _Phase(self.structure, state, D, parameters, times[0], self.m + 1)
+        flown = [fly(phase)]
+        none = np.empty((0, state.shape[1]))
+
+        if not self.kneed:
+            return flown, _Kneestrike(none, none, none, none)
+
+        strike = self._kneestrike(flown[0].end, parameters)
+        phase = self._locked_phase(strike.after, beside, parameters, times)
+
+        return [*flown, fly(phase)], strike
 
     def _locked_phase(
-        self, state: States, slope: bool, parameters: Parameters, times: Times
+        self, state: States, directions: int, parameters: Parameters, times: Times
     ) -> _Phase:
         """The phase from kneestrike on, with unit vectors beside the field as
         directions.
         """
-        unit = np.eye(4, 3 + slope, -1)[:, :, None]
-        D = np.broadcast_to(unit, (4, 3 + slope, state.shape[1]))
+        unit = np.eye(4, directions, -1)[:, :, None]
+        D = np.broadcast_to(unit, (4, directions, state.shape[1]))
         straight, of_straight = locked(self.structure, parameters)
 
         return _Phase(straight, state, D, of_straight, times[1] - times[0], 4)
@@ -416,15 +444,12 @@ class StrideMap:
             D = np.concatenate([D, by_drive[:, None]], axis=1)
         return values[:size], D
 
-    def _kneestrike(self, end: np.ndarray, parameters: Parameters) -> list[np.ndarray]:
-        """State after kneestrike, directions as parts along and beside the field,
-        (4 (m + 2), n), the guard with its derivatives and rate, (m + 3, n), and the
-        state before with its derivatives by y, (6 (1 + m), n).
-        """
+    def _kneestrike(self, end: np.ndarray, parameters: Parameters) -> _Kneestrike:
+        """What kneestrike makes of the end of the first phase."""
         out = self._apply(self._knee, np.vstack([end, parameters]))
         sizes = np.cumsum([4, 4 * (self.m + 2), self.m + 3])
 
-        return np.split(out, sizes)
+        return _Kneestrike(*np.split(out, sizes))
 
     def _times_by(self, parts: np.ndarray, n: int) -> np.ndarray:
         """Derivatives of the event times by y, the durations as the equations have
@@ -481,11 +506,9 @@ class StrideMap:
         }
 
 
-def _integrate(
-    phase: _Phase, slope: bool, samples: int, coarse: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """State at the end of a phase with its directions as rows, and samples of its
-    motion; the last direction is zero where it is not asked for.
+def _integrate(phase: _Phase, slope: bool, samples: int, coarse: bool) -> _Flown:
+    """Integrate a phase with its directions; the last direction is zero where it is not
+    asked for.
     """
     size, directions, n = phase.D.shape
     integrate = flow(phase.structure, directions, slope, coarse)
@@ -496,8 +519,20 @@ def _integrate(
 
     rows = np.zeros((size, phase.width, n))
     rows[:, :directions] = final[size:].reshape(-1, size, n).transpose(1, 0, 2)
+    end = np.vstack([final[:size], rows.reshape(-1, n)])
 
-    return np.vstack([final[:size], rows.reshape(-1, n)]), motion
+    return _Flown(end, motion, np.empty(0))
+
+
+def _integrate_dissipation(phase: _Phase) -> _Flown:
+    """Integrate a phase without directions, and what a unit damper dissipates in it."""
+    size, n = phase.state.shape
+    integrate = flow(phase.structure, 0, False, dissipates=True)
+    start = np.vstack([phase.state, np.zeros((1, n))])
+    final, motion = integrate(start, phase.parameters, phase.duration)
+    end = np.vstack([final[:size], np.zeros((size * phase.width, n))])
+
+    return _Flown(end, motion, final[size])
 
 
 @functools.cache

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
+from gaitsweep.tasks.branches.special_points import RATES
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.tables import Arrays, stacked, table
 from gaitsweep.tasks.gaits.multipliers import multipliers
@@ -22,7 +23,7 @@ from gaitsweep.tasks.orbits.initial_states import r_sequence
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.sameness import SAME_GAIT, SAME_POINT
 from gaitsweep.tasks.step.simulate import STRUCK, stride
-from gaitsweep.tasks.walkers.resolve import walker_of_line
+from gaitsweep.tasks.studies.followed import columns_along, followed_over
 
 #: Largest admissible stance angle [rad], and the smallest one over the slope: half that
 #: of the linear law.
@@ -46,10 +47,24 @@ _GAIT_COLUMNS = (
     "anthropomorphic",
     "passes",
     "stance_angle",
-    "stance_rate",
+    *RATES,
     "period",
     "spectral_radius",
     "hits",
+)
+_COVERAGE = (
+    "slope",
+    "starts",
+    "struck",
+    "converged",
+    "gaits",
+    "anthropomorphic",
+    "non_anthropomorphic",
+    "not_steps",
+    "found_once",
+    "unseen",
+    "deflated",
+    "found_deflated",
 )
 
 
@@ -60,8 +75,9 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `line`; `slope`, ndarray, shape (n,) [rad]; and the study's option `starts`,
-        initial guesses at each slope.
+        `line`; `slope`, ndarray, shape (n,) [rad], or values of the key `along` which
+        drives at the line's slope; and the study's option `starts`, initial guesses at
+        each.
     inputs : list
         Empty.
 
@@ -69,8 +85,8 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     -------
     dict
         Tables `census` (a row per distinct gait, in the walker's units: slope, gait,
-        anthropomorphic, passes, stance_angle, stance_rate, period, spectral_radius,
-        hits) and `coverage` (slope, starts, struck, converged, gaits, anthropomorphic,
+        anthropomorphic, passes, stance_angle, stance_rate, thigh_rate, shank_rate,
+        period, spectral_radius, hits) and `coverage` (slope, starts, struck, converged, gaits, anthropomorphic,
         non_anthropomorphic, not_steps, found_once, unseen, deflated, found_deflated).
 
     Notes
@@ -87,29 +103,46 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     others (`found_deflated`; such a gait has no `hits`). A guess that never strikes is
     not used: its gait, if any, is not covered.
     """
-    problem = Problem(walker_of_line(params["line"]))
+    problem, unit = followed_over(params)
     count = int(registry.options("census", params)["starts"])
     parts: list[tuple[ndarray, ...]] = []
-    cover: list[dict[str, Any]] = []
-    for slope in np.asarray(params["slope"], float).tolist():
-        guesses = _struck(problem, starts(problem, slope, count), slope)
-        w, hits, converged = _solve(problem, guesses, slope)
-        w, hits, tried, added = _deflate(problem, guesses, w, hits, slope)
+    cover: list[tuple[Any, ...]] = []
 
-        walking = anthropomorphic = 0
-        if w.shape[1]:
-            gaits = _gaits(problem, w, hits, slope)
-            parts.append(tuple(gaits.values()))
-            walking = len(gaits["slope"])
-            anthropomorphic = int(gaits["anthropomorphic"].sum())
+    for asked in np.asarray(params["slope"], float).tolist():
+        columns, row = _searched(problem, asked / unit, count)
+        if columns:
+            columns["slope"] = np.full(row["gaits"], asked)
+            parts.append(tuple(columns.values()))
+        row["slope"] = asked
+        cover.append(tuple(row[name] for name in _COVERAGE))
 
-        row = {"slope": slope, "starts": count, "struck": guesses.shape[1]}
-        row |= {"converged": converged, "gaits": walking}
-        row |= _kinds(w.shape[1], walking, anthropomorphic)
-        row |= _unseen(hits, converged)
-        row |= {"deflated": tried, "found_deflated": added}
-        cover.append(row)
-    return stacked("census", parts, _GAIT_COLUMNS) | table("coverage", cover)
+    found = stacked("census", parts, columns_along(problem, _GAIT_COLUMNS))
+    return found | table("coverage", cover, columns_along(problem, _COVERAGE))
+
+
+def _searched(
+    problem: Problem, drive: float, count: int
+) -> tuple[dict[str, ndarray], dict[str, Any]]:
+    """Columns of the table `census` at a value of the drive, none without solutions, and
+    a row of `coverage`.
+    """
+    guesses = _struck(problem, starts(problem, drive, count), drive)
+    w, hits, converged = _solve(problem, guesses, drive)
+    w, hits, tried, added = _deflate(problem, guesses, w, hits, drive)
+
+    gaits: dict[str, ndarray] = {}
+    walking = anthropomorphic = 0
+    if w.shape[1]:
+        gaits = _gaits(problem, w, hits, drive)
+        walking = len(gaits["slope"])
+        anthropomorphic = int(gaits["anthropomorphic"].sum())
+
+    row: dict[str, Any] = {"starts": count, "struck": guesses.shape[1]}
+    row |= {"converged": converged, "gaits": walking}
+    row |= _kinds(w.shape[1], walking, anthropomorphic)
+    row |= _unseen(hits, converged)
+    row |= {"deflated": tried, "found_deflated": added}
+    return gaits, row
 
 
 def _kinds(solutions: int, walking: int, anthropomorphic: int) -> dict[str, int]:
@@ -127,29 +160,29 @@ def _unseen(hits: ndarray, converged: int) -> dict[str, float]:
     return {"found_once": once, "unseen": max(once, 1) / max(converged, 1)}
 
 
-def _struck(problem: Problem, y: Sections, slope: float) -> Unknowns:
+def _struck(problem: Problem, y: Sections, drive: float) -> Unknowns:
     """Guesses of gaits whose first step, simulated, ends in a strike, with its times."""
-    first = stride(problem, y, np.full(y.shape[1], slope), exact=False)
+    first = stride(problem, y, np.full(y.shape[1], drive), exact=False)
     guesses = np.vstack([np.log(y[0]), y[1:] / y[0], first.times])
     return guesses[:, first.outcome == STRUCK]
 
 
 def _gaits(
-    problem: Problem, w: Unknowns, hits: ndarray, slope: float
+    problem: Problem, w: Unknowns, hits: ndarray, drive: float
 ) -> dict[str, ndarray]:
     """Columns of the table `census`, of those solutions that are steps."""
     time_unit = problem.walker.time_unit
-    slopes = np.full(w.shape[1], slope)
-    at, verdict = verify_steps(problem, w, np.log(slopes))
+    drives = np.full(w.shape[1], drive)
+    at, verdict = verify_steps(problem, w, np.log(drives))
     walks = verdict.step & ~verdict.doubt
-    state = problem.start(np.multiply(*problem.section(w)), slopes)
+    state = problem.start(np.multiply(*problem.section(w)), drives)
     columns = (
-        slopes,
+        drives,
         np.where(gait_ratio(at) < LONG_BELOW, "long", "short"),
         (walks & verdict.anthropomorphic).astype(int),
         verdict.leg_passes.astype(int),
         np.exp(w[0]),
-        state[1] / time_unit,
+        *(state[1:] / time_unit),
         w[-1] * time_unit,
         np.abs(multipliers(at.jacobian, problem.m)).max(axis=1),
         hits,
@@ -158,13 +191,14 @@ def _gaits(
     return dict(zip(_GAIT_COLUMNS, walking, strict=True))
 
 
-def starts(problem: Problem, slope: float, count: int) -> ndarray:
+def starts(problem: Problem, drive: float, count: int) -> ndarray:
     """Spread initial guesses over the admissible section by a low-discrepancy sequence.
 
     Parameters
     ----------
     problem : Problem
-    slope : float [rad]
+    drive : float
+        The slope [rad], or what else drives as the problem counts it.
     count : int
 
     Returns
@@ -173,7 +207,9 @@ def starts(problem: Problem, slope: float, count: int) -> ndarray:
         Stance angle and rates just after heelstrike.
     """
     unit = r_sequence(problem.m, count)
-    low = np.log(_MIN_ANGLE_RATIO * slope)
+    (slope,) = problem.slopes(np.array([drive])).tolist()
+    least = _MIN_ANGLE_RATIO * problem.drive.like_slope(problem.walker, drive)
+    low = np.log(least)
     high = np.log(_MAX_ANGLE)
     angle = np.exp(low + (high - low) * unit[0])
     # The vertical lies nearer than the ground's normal by the slope: steep gaits are
@@ -187,12 +223,12 @@ def starts(problem: Problem, slope: float, count: int) -> ndarray:
     return np.vstack([angle, rate, -rate * largest * (2 * unit[2] - 1)])
 
 
-def _solve(problem: Problem, w: ndarray, slope: float) -> tuple[ndarray, ndarray, int]:
+def _solve(problem: Problem, w: ndarray, drive: float) -> tuple[ndarray, ndarray, int]:
     """Distinct fixed points, how many guesses led to each, and how many converged at
     all.
     """
     # All guesses are iterated coarsely, and only distinct results exactly.
-    q = np.full(w.shape[1], np.log(slope))
+    q = np.full(w.shape[1], np.log(drive))
     rounds = _MAX_STEPS[problem.phases]
     w, near = newton(problem, w, q, coarse=True, max_iterations=rounds)
     n_near = int(near.sum())
@@ -207,12 +243,12 @@ def _deflate(
     guesses: ndarray,
     known: ndarray,
     hits: ndarray,
-    slope: float,
+    drive: float,
 ) -> tuple[ndarray, ndarray, int, int]:
     """Known solutions with those that deflation adds, their hits, the number of
     guesses, and of solutions added.
     """
-    q = np.full(guesses.shape[1], np.log(slope))
+    q = np.full(guesses.shape[1], np.log(drive))
     first = known.shape[1]
     tried = 0
     for _ in range(_PASSES):
@@ -220,7 +256,7 @@ def _deflate(
         if not before or not len(q):
             break
         tried += len(q)
-        w, near = deflated(problem, guesses, known, slope)
+        w, near = deflated(problem, guesses, known, drive)
         w, converged = newton(problem, w[:, near], q[near])
         both = np.hstack([known, w[:, converged]])
         none_yet = np.zeros(both.shape[1] - before, int)
@@ -231,15 +267,16 @@ def _deflate(
 
 
 def deflated(
-    problem: Problem, guesses: ndarray, known: ndarray, slope: float
+    problem: Problem, guesses: ndarray, known: ndarray, drive: float
 ) -> tuple[ndarray, ndarray]:
-    """Improve guesses at one slope that known solutions repel.
+    """Improve guesses at one value of the drive that known solutions repel.
 
     Parameters
     ----------
     problem : Problem
     guesses, known : ndarray, shapes (m + k, n) and (m + k, j)
-    slope : float [rad]
+    drive : float
+        As for `starts`.
 
     Returns
     -------
@@ -248,7 +285,7 @@ def deflated(
     converged : ndarray of bool, shape (n,)
         Whether each is near another solution.
     """
-    q = np.full(guesses.shape[1], np.log(slope))
+    q = np.full(guesses.shape[1], np.log(drive))
     return newton(
         problem,
         guesses,

@@ -1,6 +1,4 @@
-"""Gaits as curves over a key of the walker at a fixed slope, and over slopes that lead
-uphill, too.
-"""
+"""Gaits as curves over a key of the walker at a fixed slope."""
 
 from __future__ import annotations
 
@@ -55,38 +53,10 @@ def gaits_over_key(gaits: Equations) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
     def starts() -> Iterator[np.ndarray]:
         for value, walker in zip(values, walkers, strict=True):
-            for w in _gaits_at(walker, slope):
+            for w in gaits_at(walker, slope):
                 yield np.append(w, value / scale)
 
     yield from _curves(gaits, starts(), (low / scale, high / scale))
-
-
-def gaits_over_slope(
-    gaits: Equations, low: float, high: float
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the curves of a driven walker's gaits over slopes that lead uphill, too.
-
-    Parameters
-    ----------
-    gaits : Equations
-        Of gaits over slopes, counted from one below `low`.
-    low, high : float [rad]
-
-    Yields
-    ------
-    points, tangents : ndarray, shape (p, u)
-    """
-    problem = gaits.problem
-    base = problem.drive.at_slope or 0.0
-
-    def starts() -> Iterator[np.ndarray]:
-        for share in SURVEYED:
-            slope = low + share * (high - low)
-            for w in _gaits_at(problem.walker, slope):
-                yield np.append(w, np.log(slope - base))
-
-    window = float(np.log(low - base)), float(np.log(high - base))
-    yield from _curves(gaits, starts(), window)
 
 
 def _curves(
@@ -116,7 +86,7 @@ def survey_together(walkers: Sequence[Walker]) -> None:
         survey(some, structure, COARSE)
 
 
-def _gaits_at(walker: Walker, slope: float) -> Iterator[np.ndarray]:
+def gaits_at(walker: Walker, slope: float) -> Iterator[np.ndarray]:
     """Gaits w (c - 1,) of a walker at a slope, by the polynomials of its branches: over the
     slope or, on level ground and uphill, over what drives there.
     """

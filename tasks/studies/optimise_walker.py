@@ -133,12 +133,16 @@ class _Verification:
         self.found = found
         self.Z, self.x = programme.equations.split(found.X[:, None])
         values = _without_rounding(keys, keys.values(self.x)[:, 0])
+
         self.keys = dict(zip(keys.names, values.tolist(), strict=True))
         self.walker = keys.walker_at(*self.keys.values())
-        self.problem = Problem(self.walker)
-        if self.problem.m != programme.equations.problem.m:
-            # At the end of a range the walker may be special, with fewer coordinates.
-            self.problem = Lanes([self.walker], keys.structure)
+
+        ordinary = programme.equations.problem
+        self.problem = Problem(self.walker, drive=ordinary.drive)
+        if not _are_alike(self.problem, ordinary):
+            # At the end of a range the walker may be special, with fewer coordinates,
+            # or nothing between its thighs.
+            self.problem = Lanes([self.walker], keys.structure, ordinary.drive)
 
     def verified(self) -> _Verified | str:
         """The gait, or why there is none."""
@@ -190,9 +194,14 @@ class _Verification:
             return "the gait there is not stable"
         w = self.Z if self.question.window is not None else self.Z[:-1]
         X = np.concatenate([w[:, 0], self.x[:, 0]])
-        slope = float(np.exp(self.Z[-1, 0]))
+        slope = float(self.problem.slopes(np.exp(self.Z[-1]))[0])
         values |= self.keys
         return _Verified(X, slope, self.walker, values, bound, slope_bound)
+
+
+def _are_alike(problem: Problem, other: Problem) -> bool:
+    """Whether gaits have as many coordinates, and the same measures."""
+    return problem.m == other.m and problem.features == other.features
 
 
 def _without_rounding(keys: Keys, values: ndarray) -> ndarray:
@@ -256,7 +265,10 @@ class _Search:
         ]
         finished = [start for start in gaits if self._is_finished(start)]
         if gaits:
-            best_first = sorted(finished or gaits, key=lambda k: self.ends[k].value)
+            best_first = sorted(
+                finished or gaits,
+                key=lambda k: self.ends[k].value,
+            )
             self.best = best_first[0]
 
     def _promising(self, candidates: Sequence[Coordinates]) -> list[Gait]:
@@ -376,6 +388,7 @@ class _Tables:
         }
         measured = {**place, **gait.values, "slope": gait.slope}
         self.optimum.append({**own, **measured, **told})
+
         walker = {key: float(getattr(gait.walker, key)) for key in NUMBERS}
         self.walkers.append({**own, **walker})
         for name, limit, multiplier in end.limits:
@@ -387,9 +400,8 @@ class _Tables:
         keys = programme.equations.keys
         assert keys is not None
         Z, x = programme.equations.split(points.T)
-        columns = {SLOPE: np.exp(Z[-1])} | dict(
-            zip(keys.names, keys.values(x), strict=True)
-        )
+        slopes = programme.equations.problem.slopes(np.exp(Z[-1]))
+        columns = {SLOPE: slopes} | dict(zip(keys.names, keys.values(x), strict=True))
         if self.question.name not in columns:
             values, _ = programme.judge(points.T)
             of_minimised = programme.objective.sign * programme.objective.scale

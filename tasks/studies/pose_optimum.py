@@ -31,6 +31,7 @@ from gaitsweep.tasks.measures.programme import (
 )
 from gaitsweep.tasks.mechanics.arrays import Coordinates
 from gaitsweep.tasks.step.problem import Lanes
+from gaitsweep.tasks.studies.gaits_over_key import gaits_at
 from gaitsweep.tasks.walkers.resolve import resolve_many, value_of_key, walkers_over
 from gaitsweep.tasks.walkers.walker import Walker
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
@@ -266,15 +267,29 @@ def candidates(question: Question) -> list[Coordinates]:
     keys = question.box.keys
     designs = question.box.designs(int(question.options["starts"]))
     walkers = [question.box.walker_at(*values) for values in designs.T.tolist()]
-    surveys = atlases.survey_lines(Lanes(walkers, keys.structure), COARSE)
     found = []
-    for values, branches in zip(designs.T, surveys, strict=True):
-        gaits = [_in_window(question, branch) for branch in branches]
+    for values, gaits in zip(designs.T, _gaits_of(question, walkers), strict=True):
         count = sum(Z.shape[1] for Z in gaits)
         if count:
             own = np.repeat((values / keys.scale)[:, None], count, axis=1)
             found.append(np.vstack([np.hstack(gaits), own]))
     return found
+
+
+def _gaits_of(
+    question: Question, walkers: Sequence[Walker]
+) -> Iterator[list[Coordinates]]:
+    """Gaits of each walker, as `_in_window` has them; on level ground and uphill those
+    of what drives there.
+    """
+    if question.fixed is not None and question.fixed <= 0:
+        for walker in walkers:
+            yield [w[:, None] for w in gaits_at(walker, question.fixed)]
+        return
+
+    lanes = Lanes(walkers, question.box.keys.structure)
+    for branches in atlases.survey_lines(lanes, COARSE):
+        yield [_in_window(question, branch) for branch in branches]
 
 
 def _in_window(question: Question, branch: Branch) -> Coordinates:

@@ -31,11 +31,12 @@ from gaitsweep.tasks.measures.gaits import (
 from gaitsweep.tasks.measures.names import check_measure
 from gaitsweep.tasks.measures.passed import Curve, Passed, Sampled
 from gaitsweep.tasks.measures.sensitivities import KeyOfWalker
-from gaitsweep.tasks.step.drive import SLOPE, Drive
+from gaitsweep.tasks.step.drive import SLOPE
 from gaitsweep.tasks.step.lanes import lanes_of, slices
 from gaitsweep.tasks.step.problem import Lanes, Problem
-from gaitsweep.tasks.studies.gaits_over_key import gaits_over_key, gaits_over_slope
+from gaitsweep.tasks.studies.gaits_over_key import SURVEYED, gaits_over_key
 from gaitsweep.tasks.studies.solve_at_slope import WANT, answer, record
+from gaitsweep.tasks.studies.solve_driven import LOWEST, branches_over_any_slope
 from gaitsweep.tasks.studies.solve_guesses import Solved, solve_guesses
 from gaitsweep.tasks.studies.solve_points import survey
 from gaitsweep.tasks.walkers.resolve import (
@@ -73,6 +74,14 @@ class _Target:
     def is_any_slope(self) -> bool:
         """Whether slopes are varied of which some are level, or lead uphill."""
         return self.vary == SLOPE and self.low <= 0
+
+    @property
+    def edges(self) -> tuple[float, float]:
+        """Range of the last unknown of curves; that of a key has its own ends."""
+        if self.vary != SLOPE:
+            return -np.inf, np.inf
+        base = LOWEST if self.is_any_slope else 0.0
+        return float(np.log(self.low - base)), float(np.log(self.high - base))
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +299,7 @@ def _solve_line(
     store(out, list(_parts(found)), wanted.labels)
     to_accuracy(out, wanted.accuracy)
 
-    edges = _edges(target, found)
+    edges = target.edges
     searched = "; ".join(found.log)
     sought = f"this {target.measure}"
     long, short = (
@@ -308,8 +317,6 @@ def _search(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Found:
     names = [name for name in VARIABLES if name in {*wanted.names, target.measure}]
     wanted = replace(wanted, names=names)
     along = _along_slope if target.vary == SLOPE else _along_key
-    if target.is_any_slope:
-        along = _along_any_slope
     found = along(line, target, wanted)
     if found.solved:
         gaits = found.solved.gaits
@@ -323,14 +330,14 @@ def _search(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Found:
 def _along_slope(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Found:
     """Gaits of a line's branches, at any slope in a window."""
     walker = walker_of_line(line)
-    problem = Problem(walker)
-    (branches,) = survey([walker], problem.structure, COARSE)
+    problem, branches, log = _branches(walker, target)
     curves = [Curve.of_branch(problem, branch) for branch in branches]
     samples = [Sampled.of(curve, target.measure) for curve in curves]
-    groups = _passed(samples, target, np.log([target.low, target.high]))
+    groups = _passed(samples, target, np.array(target.edges))
 
     guessed = list(map(_OnBranch.of, branches, groups))
-    slope = np.concatenate([np.empty(0), *(one.slope for one in guessed)])
+    counted = np.concatenate([np.empty(0), *(one.counted for one in guessed)])
+    slope = problem.slopes(counted)
     solved = None
     if len(slope):
         places = [(problem, one.branch, one.segment) for one in guessed]
@@ -341,7 +348,6 @@ def _along_slope(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _F
         solved = solve_guesses(problem, guesses, settle_there, wanted)
 
     pieces = [one.branch.piece(one.segment) for one in guessed]
-    log = [f"searched from {atlases.searched(walker)}"]
     return _Found(
         solved=solved,
         groups=groups,
@@ -349,37 +355,24 @@ def _along_slope(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _F
         varied=slope,
         slope=slope,
         samples=samples,
-        log=log,
+        log=[log],
     )
 
 
-def _along_any_slope(
-    line: Mapping[str, Any], target: _Target, wanted: Wanted
-) -> _Found:
-    """Gaits of a driven walker over slopes of which some are level, or lead uphill."""
-    walker = walker_of_line(line)
-    problem = Problem(walker, drive=Drive(SLOPE, -1.0))
-    equations = Equations(problem)
-    found = gaits_over_slope(equations, target.low, target.high)
-    curves = [Curve.of_points(equations, *each) for each in found]
-    samples = [Sampled.of(curve, target.measure) for curve in curves]
-    groups = _passed(samples, target, np.log1p([target.low, target.high]))
+def _branches(walker: Walker, target: _Target) -> tuple[Problem, list[Branch], str]:
+    """A walker's branches over the slopes of a target, their problem, and how they were
+    searched for: where some are level, or lead uphill, of what drives there, too.
+    """
+    problem = Problem(walker)
+    (branches,) = survey([walker], problem.structure, COARSE)
+    if not target.is_any_slope:
+        return problem, branches, f"searched from {atlases.searched(walker)}"
 
-    numbers = [(number, 0) for number in range(len(groups))]
-    counted = [np.exp(passed.X[-1]) for passed in groups]
-    slope = problem.slopes(np.concatenate([np.empty(0), *counted]))
-    solved = None
-    if len(slope):
-        guesses = [
-            unmeasured(problem, passed.X[:-1], drive)
-            for passed, drive in zip(groups, counted, strict=True)
-        ]
-        solved = solve_guesses(
-            problem, guesses, partial(_settle, accuracy=wanted.accuracy), wanted
-        )
-
-    log = [f"{len(samples)} curves of gaits over slopes searched"]
-    return _Found(solved, groups, numbers, slope, slope, samples, log)
+    span = target.high - target.low
+    values = [target.low + share * span for share in SURVEYED]
+    levels = [value for value in values if value <= 0]
+    problem, branches = branches_over_any_slope(walker, branches, levels)
+    return problem, branches, f"{len(branches)} branches of gaits over slopes searched"
 
 
 def _passed(
@@ -394,20 +387,22 @@ def _passed(
 
 @dataclass(frozen=True, eq=False)
 class _OnBranch:
-    """Guesses of gaits on a branch, with their segments and slopes (n,)."""
+    """Guesses of gaits on a branch, with their segments and slopes (n,), as it counts
+    them.
+    """
 
     branch: Branch
     segment: np.ndarray
-    slope: np.ndarray
+    counted: np.ndarray
     guesses: Guesses
 
     @classmethod
     def of(cls, branch: Branch, passed: Passed) -> _OnBranch:
         """Those of the gaits at which it passes values."""
         segment = np.minimum(passed.place.astype(int), len(branch.q) - 2)
-        slope = np.exp(passed.X[-1])
-        guesses = branch.known_guesses(passed.X, segment, slope)
-        return cls(branch, segment, slope, guesses)
+        counted = np.exp(passed.X[-1])
+        guesses = branch.known_guesses(passed.X, segment, counted)
+        return cls(branch, segment, counted, guesses)
 
 
 def _along_key(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Found:
@@ -476,20 +471,11 @@ def _is_unchanged(samples: Sequence[Sampled]) -> bool:
     )
 
 
-def _edges(target: _Target, found: _Found) -> tuple[float, float]:
-    """Range of the last unknown of curves."""
-    if target.vary == SLOPE:
-        ends = np.array([target.low, target.high])
-        low, high = np.log1p(ends) if target.is_any_slope else np.log(ends)
-        return float(low), float(high)
-    return -np.inf, np.inf
-
-
 def _missed(found: _Found, target: _Target) -> str:
     """Say that no gait has the one value of a target, by the values that there are."""
     (value,) = target.values.tolist()
     sought = f"{target.measure} = {value:.6g}"
-    reached = found.reached(*_edges(target, found))
+    reached = found.reached(*target.edges)
     return status.unreached("", sought, target.where, reached, "")
 
 

@@ -31,7 +31,7 @@ from gaitsweep.tasks.walkers.walker import Walker
 _REMEMBERED = 32
 #: The slope from which those of all grounds are counted, and one at which gaits are
 #: followed from downhill to level ground [rad].
-_LOWEST, _GENTLE = -1.0, 1e-5
+LOWEST, _GENTLE = -1.0, 1e-5
 
 
 def driven(walker: Walker, slope: float, steps: int = 1) -> tuple[Problem, float]:
@@ -91,7 +91,7 @@ def branches_over_any_slope(
     downhill : sequence of Branch
         Its branches over slopes above 0, through which these go on below.
     """
-    drive = Drive(SLOPE, _LOWEST)
+    drive = Drive(SLOPE, LOWEST)
     line = Lanes([walker], drive.structure(walker), drive)
     Z = [*_counted(downhill, _GENTLE, _GENTLE)]
     level, driving = driven(walker, 0.0)
@@ -113,7 +113,7 @@ def _counted(
     """
     for branch in branches:
         for _, Z, _ in branch.guesses(np.log([drive])):
-            yield np.append(Z[:-1, 0], np.log(slope - _LOWEST))
+            yield np.append(Z[:-1, 0], np.log(slope - LOWEST))
 
 
 def searched(problem: Problem) -> str:

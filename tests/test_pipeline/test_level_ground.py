@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 import gaitsweep
+from conftest import ROOT
 from gaitsweep import gaits, solve
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study.parse import read
@@ -288,3 +289,25 @@ def test_a_page_tells_by_which_law_a_push_off_gives_step_lengths(tmp_path):
     del study["at"]
     with pytest.raises(StudyError, match="`sought` is of gaits at values of a measure"):
         gaitsweep.run(study, archive=tmp_path / "m.nc", quiet=True)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "name",
+    [
+        "level-ground",
+        "pushing-off",
+        "cheapest-on-level-ground",
+        "census-on-level-ground",
+    ],
+)
+def test_the_studies_of_level_ground_run_and_are_shown(name, tmp_path):
+    example = ROOT / "data" / "studies" / "examples" / f"{name}.toml"
+    archive = tmp_path / f"{name}.nc"
+
+    assert gaitsweep.run(example, archive=archive, quiet=True) is not None
+    gaitsweep.report(archive, tmp_path)
+
+    page = (tmp_path / f"{name}.html").read_text()
+    assert "is missing" not in page
+    assert page.count("<figure") >= 1

@@ -10,6 +10,7 @@ import xarray as xr
 import gaitsweep
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study.parse import parse
+from gaitsweep.tasks.contract.registry import VIOLATIONS
 
 FREE = {"R": [0.1, 0.3]}
 FASTEST = {"maximise": "froude_speed", "free": FREE, "starts": 2}
@@ -161,3 +162,90 @@ def test_where_nothing_is_stable_the_line_says_so(tmp_path):
     assert found["status"].item() == "no_gait"
     reason = str(found["reason"].item())
     assert reason.startswith("No stable gait within the ranges and limits was found")
+
+
+LEVEL = {
+    "minimise": "cost_of_transport",
+    "free": {"push_off": [0.02, 0.2], "hip_stiffness": [0.0, 0.05]},
+    "within": {"froude_speed": [0.2, 0.2]},
+    "starts": 1,
+}
+
+
+@pytest.fixture(scope="module")
+def level(tmp_path_factory):
+    path = tmp_path_factory.mktemp("level") / "best.nc"
+    asked = study(LEVEL, "B", {"slope": [0.0]})
+    asked["want"] = {"figures": ["optimum"]}
+    gaitsweep.run(asked, archive=path, jobs=1, quiet=True)
+    return path
+
+
+def _cheapest(stiffness):
+    """The least cost of transport at the speed, with one stiffness of the hip."""
+    found = gaitsweep.solve(
+        "B",
+        0.0,
+        at={"froude_speed": 0.2},
+        vary="push_off",
+        between=[0.02, 0.2],
+        hip_stiffness=stiffness,
+    )
+    return found.sort_values("cost_of_transport").iloc[0]
+
+
+@pytest.mark.thorough
+def test_the_cheapest_walking_on_level_ground_is_the_cheapest_at_its_speed(level):
+    """By gaits at the speed, and the multiplier of the stiffness by their difference."""
+    best = xr.load_dataset(level, group="optimum").isel(row=0)
+    limits = xr.load_dataset(level, group="optimum_limits")
+
+    softer, same, stiffer = map(_cheapest, (0.049, 0.05, 0.051))
+
+    assert float(best["slope"]) == 0.0
+    assert float(best["hip_stiffness"]) == 0.05
+    assert float(best["push_off"]) == pytest.approx(same["push_off"], rel=1e-6)
+    cost = float(best["cost_of_transport"])
+    assert cost == pytest.approx(same["cost_of_transport"], rel=1e-6)
+    by_stiffness = (stiffer["cost_of_transport"] - softer["cost_of_transport"]) / 0.002
+    names = [str(name) for name in limits["limited_by"].values]
+    multiplier = float(limits["multiplier"][names.index("hip_stiffness")])
+    assert multiplier == pytest.approx(by_stiffness, rel=1e-3)
+
+
+@pytest.mark.thorough
+def test_the_page_of_an_optimum_on_level_ground_walks_it(level, tmp_path):
+    page = gaitsweep.report(level, tmp_path).read_text(encoding="utf-8")
+
+    (line,) = json.loads(re.search(r'id="lines">(.*?)</script>', page)[1])
+
+    assert line["branches"][0][0][0] == 0.0
+    assert line["keys"]["push_off"] == line["at"]["push_off"]
+    assert len(line["keys"]["violation_limits"]) == len(VIOLATIONS)
+
+
+@pytest.mark.parametrize(
+    ("slopes", "free", "sentence"),
+    [
+        (
+            [-0.01, 0.01],
+            LEVEL["free"],
+            "Slopes of an optimum must be all > 0, or one that is 0 or below; "
+            "got -0.01 and 0.01 (axes.slope).",
+        ),
+        (
+            [0.0],
+            {"R": [0.1, 0.3]},
+            "`slope` must lie in [1e-18, 0.5) rad for passive walkers; got 0: on level "
+            "ground and uphill a walker needs a `push_off`",
+        ),
+    ],
+)
+def test_optima_on_level_ground_have_one_slope_and_a_drive(slopes, free, sentence):
+    asked = study({**LEVEL, "free": free}, "B", {"slope": slopes})
+
+    with pytest.raises(StudyError) as error:
+        parse(asked, "", Path("s.toml"))
+
+    told = str(error.value).replace("s.toml, ", "")
+    assert told.startswith(sentence), told

@@ -1,10 +1,11 @@
-"""Branches, cascades, orbits and basins over what drives on level ground, from TOML to
-page.
+"""Branches, cascades, orbits, basins and censuses over what drives on level ground, from
+TOML to page.
 """
 
 import json
 import re
 import shlex
+from urllib.parse import parse_qsl
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,7 @@ from gaitsweep.pipeline.cli.commands import main
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.report import source
 from gaitsweep.pipeline.report.figures import over_key
+from gaitsweep.pipeline.report.figures.starts import addresses
 from gaitsweep.pipeline.study.parse import parse, read
 from gaitsweep.tasks.fits.feigenbaum import DELTA
 
@@ -215,6 +217,7 @@ SMALL = {
     "cascade": ("cascade", [0.05, 0.3], {"periods": 8, "steps": 0}),
     "orbit": ("bifurcation", [0.13, 0.15], {"starts": 1, "transient": 20, "steps": 4}),
     "basin": ("basin", [0.1, 0.12], {"size": 8, "steps": 10}),
+    "census": ("census", [0.1, 0.2], {"starts": 300}),
 }
 
 
@@ -375,6 +378,55 @@ def test_gaits_of_branches_over_a_drive_are_single_gaits(
         drive = {axis: getattr(row, axis)}
         found = solve(name, row.slope, **keys | drive)
         assert (found["stance_angle"] / row.stance_angle - 1).abs().min() < 1e-10
+
+
+@pytest.fixture(scope="module")
+def census(tmp_path_factory):
+    table = study("census", "B", push_off=[0.05, 0.1], options={"starts": 300})
+    table["want"] = {"figures": ["census"]}
+    return run(tmp_path_factory.mktemp("census"), table)
+
+
+def test_a_census_on_level_ground_finds_the_gaits_of_each_push_off(census):
+    """Those of the branches over the push-off, in which no census has a part."""
+    found = table_of(census, "census")
+    coverage = table_of(census, "coverage")
+
+    assert coverage["push_off"].tolist() == [0.05, 0.1]
+    for push, gaits in found.groupby("push_off"):
+        solved = solve("B", 0.0, push_off=push).sort_values("stance_angle")
+        gaits = gaits.sort_values("stance_angle")
+        assert len(gaits) == len(solved) == 2
+        for name in (*STATE, "period"):
+            np.testing.assert_allclose(gaits[name], solved[name], rtol=1e-10)
+
+
+def test_the_page_of_a_census_walks_its_gaits_along_the_push_off(census, tmp_path):
+    gaitsweep.report(census, tmp_path)
+
+    page = (tmp_path / "census.html").read_text()
+
+    assert "against push off, and the largest share" in page
+    assert "for any walker at any push off;" in page
+    (marks,) = re.findall(r'class="marks">(.*?)</script>', page, re.S)
+    (states,) = re.findall(r'id="states">(.*?)</script>', page, re.S)
+    for found in json.loads(marks):
+        assert found["names"][0] == "push off"
+        assert len(found["starts"]) == len(found["rows"]) == 4
+    assert all(len(state) == 4 for state in json.loads(states))
+    command = next(commands_of(page))
+    assert command.startswith("gaitsweep solve --walker B --slope 0.0 --set push_off=")
+
+
+def test_addresses_along_the_push_off_name_what_the_table_has(census):
+    of_census = source.read(census)
+    gaits = of_census.table("census")
+
+    (first, *_) = addresses(of_census, gaits.drop(columns="stance_rate"))
+
+    named = dict(parse_qsl(first))
+    assert "stance_rate" not in named
+    assert float(named["thigh_rate"]) == pytest.approx(gaits["thigh_rate"].iloc[0])
 
 
 @pytest.mark.thorough

@@ -51,7 +51,7 @@ def test_a_worker_compiles_the_other_flow_while_one_is_compiled_elsewhere(
 ):
     """Both workers compiled every flow of an empty cache."""
     structure, compiled = structure_of(resolve("D", {})), []
-    with another(repr((structure, 2, False, False, False))) as holder:
+    with another(repr((structure, 2, False, False, False, False))) as holder:
 
         def compile_(*key):
             compiled.append(key[1:3])

@@ -1,5 +1,7 @@
 """Gaits at a value of a measure, against single solves and crossings of dense grids."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -178,3 +180,22 @@ def test_slopes_that_lead_up_and_down_are_searched_as_one_range():
 def test_a_passive_walker_has_no_gaits_over_slopes_that_lead_up():
     with pytest.raises(WalkerError, match="`between` must be slopes above 0, as noth"):
         at("B", "speed", 0.2, between=(-0.1, 0.1))
+
+
+@SLOW
+def test_slopes_of_a_kneed_walker_that_pushes_are_found_in_seconds():
+    """They took minutes: curves were followed to where steps vanish in more and more
+    points.
+    """
+    asked = {"set": {"push_off": 0.1}, "between": (-0.02, 0.02)}
+    began = time.process_time()
+
+    found = at("C", "froude_speed", 0.1, **asked)["gaits"]
+
+    assert time.process_time() - began < 60
+    assert len(found) == 1
+    for gait in found:
+        there = {"slope": gait["slope"], "set": {"push_off": 0.1}}
+        others = solve_one({"walker": "C", **there})["gaits"]
+        (single,) = [one for one in others if one["gait"] == gait["gait"]]
+        assert single["froude_speed"] == pytest.approx(0.1, rel=1e-11)

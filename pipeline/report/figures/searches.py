@@ -25,16 +25,16 @@ from gaitsweep.pipeline.report.words import (
 
 #: Feigenbaum's constant: the limit of the ratios of successive distances between flips.
 FEIGENBAUM = 4.669201609102990
-#: Factor of the slope over which the walkers of a census at one slope are spread.
+#: Factor of the slope, or of what else drives, over which the walkers of a census at one
+#: value are spread.
 _ABREAST = 1.5
 
 
 def census(source: Source, table: pd.DataFrame, coverage: pd.DataFrame) -> Sketch:
     """Plot the gaits that a census found, and the bound on what it missed, against
-    slope.
+    slope, or what else drives.
     """
     sketch = Sketch("census", 430, 2, sharex=True, height_ratios=[5, 3])
-    top, below = sketch.panels
     every = source.lines_of(table)
     reached = coverage[coverage["converged"] > 0]
     colours = inks([line.called for line in every])
@@ -42,25 +42,51 @@ def census(source: Source, table: pd.DataFrame, coverage: pd.DataFrame) -> Sketc
         # Walkers at one slope stand side by side, one alone at its slope.
         beside = _ABREAST ** ((k + 0.5) / len(every) - 0.5)
         marker = MARKERS[k % len(MARKERS)]
-        name = line.label or source.walker
-        rows = line.rows.assign(place=beside * line.rows["slope"])
-        _draw_found(top, rows, ink, marker)
-        tips = TIPS | {"hits": "hits"}
-        sketch.mark(top, rows, name, command=line.command, tips=tips, x="place")
-
-        seen = rows_at(reached, line.at)
-        unseen = beside * seen["slope"], 100 * seen["unseen"]
-        below.plot(*unseen, color=ink, lw=1.1, marker=marker, ms=4)
+        _draw_line(sketch, source, line, reached, beside, (ink, marker))
         if k < len(MARKERS):
+            name = line.label or source.walker
             sketch.key(shorten(name), ink, marker=marker, ms=5)
-    below.set_ylim(bottom=0)
+    sketch.panels[1].set_ylim(bottom=0)
     sketch.dot_key("legs pass more than once", mfc=PAPER, ms=5)
 
     most = int(coverage["anthropomorphic"].max())
     worst = float(reached["unseen"].max()) if len(reached) else 1.0
     return sketch.finish(
-        table, most=most, worst=f"{100 * worst:.1f}", abreast=len(every) > 1
+        table,
+        abscissa=source.along,
+        most=most,
+        worst=f"{100 * worst:.1f}",
+        abreast=len(every) > 1,
+        **source.words_along,
     )
+
+
+def _draw_line(
+    sketch: Sketch,
+    source: Source,
+    line: Line,
+    reached: pd.DataFrame,
+    beside: float,
+    style: tuple[str, str],
+) -> None:
+    """Draw the gaits of a line, which walk, and the share of guesses that lead to others,
+    with an ink and a marker, at so many times what they lie along.
+    """
+    top, below = sketch.panels
+    along = source.along
+    ink, marker = style
+    rows = line.rows.assign(place=beside * line.rows[along])
+    _draw_found(top, rows, ink, marker)
+
+    driven = {} if along in TIPS else {along: source.words_along["x"]}
+    tips = driven | TIPS | {"hits": "hits"}
+    how = {"tips": tips, "x": "place", "along": along}
+    name = line.label or source.walker
+    sketch.mark(top, rows, name, command=line.command, **how)
+
+    seen = rows_at(reached, line.at)
+    unseen = beside * seen[along], 100 * seen["unseen"]
+    below.plot(*unseen, color=ink, lw=1.1, marker=marker, ms=4)
 
 
 def _draw_found(axes: Axes, rows: pd.DataFrame, ink: str, marker: str) -> None:

@@ -87,10 +87,11 @@ def _address_along(source: Source, at: Mapping[str, Any], gait: Any) -> str:
     """Address of a gait on a page along what drives at the slope of a line: of that
     and its whole state.
     """
-    state = [float(gait[name]) for name in START[1:] if name in gait]
     named = {source.along: float(gait[source.along]), **at}
-    known = dict(zip(START[1:], rounded(state, 12), strict=False))
-    known = {name: value for name, value in known.items() if value is not None}
+    present = [name for name in START[1:] if name in gait]
+    state = rounded([gait[name] for name in present], 12)
+    pairs = zip(present, state, strict=True)
+    known = {name: value for name, value in pairs if value is not None}
     return urlencode({**named, **known}) if "stance_angle" in known else ""
 
 
