@@ -79,24 +79,27 @@ def _branches(walker: Walker, drive: Drive, steps: int, compact: bool) -> list[B
 
 
 def branches_over_any_slope(
-    walker: Walker, downhill: Sequence[Branch]
+    walker: Walker, downhill: Sequence[Branch], levels: Sequence[float] = (0.0,)
 ) -> tuple[Problem, list[Branch]]:
     """Return branches of a driven walker's gaits over slopes that lead downhill, level
-    and uphill, and their problem: those through its gaits on level ground, and those
-    that go on from downhill.
+    and uphill, and their problem: those that go on from downhill, and those through its
+    gaits at some slopes of 0 and below.
 
     Parameters
     ----------
     walker : Walker
     downhill : sequence of Branch
         Its branches over slopes above 0, through which these go on below.
+    levels : sequence of float [rad]
+        The slopes of 0 and below at which its gaits are searched for.
     """
     drive = Drive(SLOPE, LOWEST)
     line = Lanes([walker], drive.structure(walker), drive)
     Z = [*_counted(downhill, _GENTLE, _GENTLE)]
-    level, driving = driven(walker, 0.0)
-    if driving:
-        Z += _counted(branches_of(level), driving, 0.0)
+    for slope in levels:
+        problem, driving = driven(walker, slope)
+        if driving:
+            Z += _counted(branches_of(problem), driving, slope)
 
     found: list[list[Branch]] = [[]]
     if Z:
