@@ -42,7 +42,7 @@ class _OnBranch:
 
     def up_to(self, slope: Slopes) -> np.ndarray:
         """How far along slopes (n,) are; none where the branch has no such slope."""
-        base = self.problem.drive.at_slope or 0.0
+        base = self.problem.drive.base or 0.0
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(np.log(slope - base) - np.log(self.counted))
 
