@@ -217,7 +217,7 @@ def _level_ground_has_its_kinds(study: Study, top: Location) -> Iterator[StudyEr
         yield from _optima_have_one_level_slope(study, top)
         return
     wrong = f"`slope` {slopes.BOUND} in studies of kind `{study.kind}`"
-    instead = "grids, orbits and basins of driven walkers have gaits"
+    instead = "grids, orbits, basins and optima of driven walkers have gaits"
     if study.kind == "curve":
         instead = "curves are over a `plane` of two keys"
     if study.kind in registry.OVER_DRIVE:

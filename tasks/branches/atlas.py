@@ -449,7 +449,7 @@ def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[ndarray, ndarray]]:
     (c, n) and their lines.
     """
     slopes: tuple[float, ...] = (*ANCHORS, VANISHING)
-    if problem.drive.at_slope is not None:
+    if problem.drive.base is not None:
         slopes = driven_anchors(problem.drive, problem.walker)
     gaits = search_lines(problem, slopes, _SHARES)
     counts = np.array([[w.shape[1] for w in of_lines] for of_lines in gaits])

@@ -147,7 +147,7 @@ def _stop_reasons(point: Point) -> ndarray:
     early = np.diff(point.at.times, axis=0).min(axis=0, initial=0.0) < -0.5
     # By the laws of vanishing slopes angles are hardly smaller than slopes.
     no_step = angle < np.minimum(-40, q - 10)
-    if problem.drive.at_slope is not None:
+    if problem.drive.base is not None:
         no_step |= _leave_the_drive(point)
     tests = {
         "window": beyond,

@@ -343,7 +343,7 @@ def _starts(
 ) -> list[np.ndarray]:
     """The initial guesses of a line at some values of its drive."""
     walker = problem.walker_of(line)
-    if problem.drive.at_slope is None:
+    if problem.drive.base is None:
         return starts(walker, drives, shares)
     of_each = []
     for i, drive in enumerate(drives):

@@ -38,14 +38,14 @@ class Drive:
     ----------
     key : str
         `slope`, `push_off` or `hip_torque`.
-    at_slope : float or None
-        The slope [rad] at which another key drives, or from which slopes are counted
-        where it is theirs that is varied, so that those of 0 and below have logarithms,
-        too. None where slopes are counted from 0.
+    base : float or None
+        The slope [rad] where the drive vanishes: at which another key drives, or from
+        which slopes are counted where it is theirs that is varied, so that those of 0
+        and below have logarithms, too. None where slopes are counted from 0.
     """
 
     key: str = SLOPE
-    at_slope: float | None = None
+    base: float | None = None
 
     def structure(self, walker: Walker) -> Structure:
         """Return the structure of a walker, differentiated by the drive."""
@@ -71,10 +71,10 @@ class Drive:
         the walker's own.
         """
         if self.key == SLOPE:
-            return walker, (self.at_slope or 0.0) + drive
-        assert self.at_slope is not None
+            return walker, (self.base or 0.0) + drive
+        assert self.base is not None
         own = getattr(walker, self.key) if self.key == HIP_TORQUE else 0.0
-        return walker.having(self.key, own + drive * self.unit(walker)), self.at_slope
+        return walker.having(self.key, own + drive * self.unit(walker)), self.base
 
     def slopes(self, drive: ndarray) -> ndarray:
         """Return the slopes at values of the drive.
@@ -87,15 +87,15 @@ class Drive:
         -------
         ndarray, shape (n,) [rad]
         """
-        if self.at_slope is None:
+        if self.base is None:
             return drive
         if self.key == SLOPE:
-            return self.at_slope + drive
-        return np.full(np.shape(drive), self.at_slope)
+            return self.base + drive
+        return np.full(np.shape(drive), self.base)
 
     def counted(self, slope: ndarray) -> ndarray:
         """Return the values of a drive that is the slope at slopes (n,) [rad]."""
-        return slope - (self.at_slope or 0.0)
+        return slope - (self.base or 0.0)
 
     def constants(
         self, structure: Structure, constants: ndarray, drive: ndarray
@@ -127,14 +127,15 @@ class Drive:
         followed.
         """
         low, high = _WINDOWS[self.key]
-        if self.key == SLOPE and self.at_slope is not None:
-            return max(low, -SLOPES[1] - self.at_slope), high - self.at_slope
+        if self.key == SLOPE and self.base is not None:
+            return max(low, -SLOPES[1] - self.base), high - self.base
         unit = self._size(walker)
         return low * unit, high * unit
 
     def anchors(self, walker: Walker, slopes: tuple[float, ...]) -> tuple[float, ...]:
-        """Return values at which steps are as long as those on slopes [rad]: angles grow
-        as the cube root of slopes and torques, and as the root of impulses.
+        """Return values at which steps on level ground are as long as those on slopes
+        [rad]: angles grow as the cube root of slopes and torques, and as the root of
+        impulses. They are dense enough uphill, too, to where walking ends.
         """
         if self.key == PUSH_OFF:
             return tuple(slope ** (2 / 3) for slope in slopes)

@@ -18,7 +18,11 @@ from gaitsweep.tasks.orbits.lyapunov import Exponents, estimate
 from gaitsweep.tasks.orbits.walk import Walk
 from gaitsweep.tasks.step.problem import EPS, scale_of, sizes
 from gaitsweep.tasks.step.simulate import CAUSES, STRUCK
-from gaitsweep.tasks.studies.solve_driven import Followed, followed, joined
+from gaitsweep.tasks.studies.solve_driven import (
+    PointsOnBranches,
+    joined,
+    points_on_branches,
+)
 
 #: Steps over which the directions of growth align before exponents are averaged, and
 #: blocks of the average.
@@ -71,12 +75,12 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     options = registry.options("orbit", params)
     parts = []
-    for points in followed(params, inputs[0]):
+    for points in points_on_branches(params, inputs[0]):
         parts.append(_orbits_of(points, options))
     return joined(parts)
 
 
-def _orbits_of(points: Followed, options: Mapping[str, Any]) -> Arrays:
+def _orbits_of(points: PointsOnBranches, options: Mapping[str, Any]) -> Arrays:
     """The tables of points of a line whose gaits lie on the same branches."""
     problem, slope = points.problem, points.drive
     walker = problem.walker

@@ -18,7 +18,11 @@ from gaitsweep.tasks.orbits.initial_states import NO_START, gaits_at
 from gaitsweep.tasks.orbits.stable_manifold import saddle_at, stable_manifold
 from gaitsweep.tasks.orbits.walk import Walk
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.studies.solve_driven import Followed, followed, joined
+from gaitsweep.tasks.studies.solve_driven import (
+    PointsOnBranches,
+    joined,
+    points_on_branches,
+)
 
 #: Default ranges, as multiples of the long gait's angle and rate.
 _AROUND = (0.4, 2.0)
@@ -66,28 +70,28 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     options = registry.options("basin", params)
     parts = []
-    for points in followed(params, inputs[0]):
+    for points in points_on_branches(params, inputs[0]):
         parts.append(_basins(points, options))
     return joined(parts)
 
 
-def _basins(points: Followed, options: Mapping[str, Any]) -> Arrays:
+def _basins(points: PointsOnBranches, options: Mapping[str, Any]) -> Arrays:
     """The tables of points of a line whose gaits lie on the same branches."""
     problem, walker = points.problem, points.problem.walker
     rows = _Rows(walker.time_unit)
-    for slope in points.drive:
-        gaits = _gaits(problem, points.branches, slope)
+    for drive in points.drive:
+        gaits = _gaits(problem, points.branches, drive)
         if "long" not in gaits:
-            rows.areas.append((slope, NO_START, 0.0, 0.0, np.nan, 0))
+            rows.areas.append((drive, NO_START, 0.0, 0.0, np.nan, 0))
             continue
 
         grid = _grid(gaits["long"], options, walker.time_unit)
         for label, y in gaits.items():
-            rows.add_gait(slope, label, y)
-            rows.add_manifold(slope, label, _manifold(problem, y, slope, grid))
+            rows.add_gait(drive, label, y)
+            rows.add_manifold(drive, label, _manifold(problem, y, drive, grid))
 
-        outcome, taken = _outcomes(problem, gaits, slope, grid, int(options["steps"]))
-        rows.add_outcomes(slope, grid, outcome, taken)
+        outcome, taken = _outcomes(problem, gaits, drive, grid, int(options["steps"]))
+        rows.add_outcomes(drive, grid, outcome, taken)
 
     tables = rows.tables(problem.m)
     if not rows.basins:
@@ -98,12 +102,14 @@ def _basins(points: Followed, options: Mapping[str, Any]) -> Arrays:
 def _gaits(
     problem: Problem,
     branches: list[Branch],
-    slope: float,
+    drive: float,
 ) -> dict[str, np.ndarray]:
-    """The long and the short gait at a slope, shape (m,) each, as far as there are."""
+    """The long and the short gait at a value of what drives, shape (m,) each, as far as
+    there are.
+    """
     gaits = {}
     for label in ("long", "short"):
-        known, y = gaits_at(problem, branches, np.array([slope]), label)
+        known, y = gaits_at(problem, branches, np.array([drive]), label)
         if len(known):
             gaits[label] = y[:, 0]
     return gaits
@@ -153,16 +159,16 @@ def _range(limits: Sequence[float], unit: float, of_gait: float) -> np.ndarray:
 def _manifold(
     problem: Problem,
     y: np.ndarray,
-    slope: float,
+    drive: float,
     grid: _Grid,
 ) -> np.ndarray | None:
     """Points of a gait's stable manifold on the grid, shape (m, k); None if it is no
     saddle.
     """
-    saddle = saddle_at(problem, y, float(slope))
+    saddle = saddle_at(problem, y, float(drive))
     if saddle is None:
         return None
-    points = stable_manifold(problem, saddle, float(slope), grid.y)
+    points = stable_manifold(problem, saddle, float(drive), grid.y)
     # To seven digits, as the steps simulated there are accurate; an archive packs these
     # well.
     return points.astype(np.float32).astype(float)
@@ -171,7 +177,7 @@ def _manifold(
 def _outcomes(
     problem: Problem,
     gaits: Mapping[str, np.ndarray],
-    slope: float,
+    drive: float,
     grid: _Grid,
     steps: int,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -182,11 +188,11 @@ def _outcomes(
     n = starts.shape[1]
     homes = {}
     for label, y in gaits.items():
-        home = Neighbourhoods(problem, y[:, None], np.array([slope]))
+        home = Neighbourhoods(problem, y[:, None], np.array([drive]))
         if home.radius[0]:
             homes[label] = home.some(np.zeros(n, int))
 
-    walk = Walk(problem, starts, np.full(n, slope))
+    walk = Walk(problem, starts, np.full(n, drive))
     outcome = attractors(walk, homes, steps)
     return outcome, np.minimum(walk.taken, steps)
 
@@ -201,18 +207,18 @@ class _Rows:
         self.manifolds: list[_Row] = []
         self.areas: list[_Row] = []
 
-    def add_gait(self, slope: float, label: str, y: np.ndarray) -> None:
+    def add_gait(self, drive: float, label: str, y: np.ndarray) -> None:
         """Add a gait, shape (m,)."""
-        self.gaits.append((slope, label, *self._on_section(y[:, None])))
+        self.gaits.append((drive, label, *self._on_section(y[:, None])))
 
-    def add_manifold(self, slope: float, label: str, points: np.ndarray | None) -> None:
+    def add_manifold(self, drive: float, label: str, points: np.ndarray | None) -> None:
         """Add points, shape (m, k), of a gait's stable manifold, if it has one."""
         if points is not None:
-            self.manifolds.append((slope, label, *self._on_section(points)))
+            self.manifolds.append((drive, label, *self._on_section(points)))
 
     def add_outcomes(
         self,
-        slope: float,
+        drive: float,
         grid: _Grid,
         outcome: np.ndarray,
         taken: np.ndarray,
@@ -222,11 +228,11 @@ class _Rows:
         n, unit = len(outcome), self._time_unit
         angle, *rates = grid.y.reshape(-1, n)
         in_units = [rate / unit for rate in rates]
-        self.basins.append((np.full(n, slope), angle, *in_units, outcome, taken))
+        self.basins.append((np.full(n, drive), angle, *in_units, outcome, taken))
 
         for name, area, error in _areas(outcome.reshape(size, size), grid.cell):
             share = np.mean(outcome == name)
-            self.areas.append((slope, name, area / unit, error / unit, share, n))
+            self.areas.append((drive, name, area / unit, error / unit, share, n))
 
     def tables(self, m: int) -> Arrays:
         """The tables, of m coordinates."""

@@ -125,7 +125,7 @@ def searched(problem: Problem) -> str:
     values = np.array(atlases.driven_anchors(drive, walker)) * drive.unit(walker)
     return (
         f"searched from initial guesses at {len(values)} values of `{drive.key}` from "
-        f"{values.min():.3g} to {values.max():.3g}, at slope {drive.at_slope:g}"
+        f"{values.min():.3g} to {values.max():.3g}, at slope {drive.base:g}"
     )
 
 
@@ -138,7 +138,7 @@ def in_units(
 
 
 @dataclass(frozen=True)
-class Followed:
+class PointsOnBranches:
     """Points of a line whose gaits lie on the same branches.
 
     Attributes
@@ -172,7 +172,9 @@ class Followed:
         return named
 
 
-def followed(params: Mapping[str, Any], atlas: Arrays) -> list[Followed]:
+def points_on_branches(
+    params: Mapping[str, Any], atlas: Arrays
+) -> list[PointsOnBranches]:
     """Return the points of a line by the branches on which their gaits lie: those of
     slopes above 0, or of a drive, and of every slope of 0 and below what drives there.
 
@@ -188,14 +190,14 @@ def followed(params: Mapping[str, Any], atlas: Arrays) -> list[Followed]:
     branches = atlases.from_arrays(atlas)
     if "along" in params:
         key = str(params["along"])
-        return [Followed(problem, branches, values / unit, values, key)]
+        return [PointsOnBranches(problem, branches, values / unit, values, key)]
 
     leads = values > 0
-    parts = [Followed(problem, branches, values[leads], values[leads])]
+    parts = [PointsOnBranches(problem, branches, values[leads], values[leads])]
     for slope in values[~leads].tolist():
         own, drive = driven(problem.walker, slope)
         found = branches_of(own) if drive else []
-        parts.append(Followed(own, found, np.array([drive]), np.array([slope])))
+        parts.append(PointsOnBranches(own, found, np.array([drive]), np.array([slope])))
     parts = [part for part in parts if len(part.drive)]
     # Rows are in the order in which their slopes were asked for.
     order = values.tolist()

@@ -561,7 +561,7 @@ def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
         return status.reasons(outside, outside)
     lost = sorted(slope for branch in branches for slope in branch.lost())
     lost = [at * problem.drive.unit(problem.walker) for at in lost]
-    if problem.drive.at_slope is None:
+    if problem.drive.base is None:
         searched = f"searched from {atlases.searched(problem.walker)}"
         pieces = [list(spans(branches, label)) for label in GAITS[:2]]
     else:

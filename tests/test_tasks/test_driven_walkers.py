@@ -437,3 +437,16 @@ def test_energies_fly_the_damped_motion_once_and_without_derivatives(monkeypatch
 
     # Angles and rates of three links, then of two, and what is dissipated.
     assert flights == [*without, (7, 2, 0), (5, 2, 0)]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("name", "slope"), [("B", -0.034), ("D", -0.02)])
+def test_gaits_are_found_nearly_to_where_walking_uphill_ends(name, slope):
+    """Over slopes, B pushing off by 0.25 walks to -0.0344, and D by 0.2 to -0.0203;
+    anchors are those of level ground.
+    """
+    push = {"B": 0.23, "D": 0.2}[name]
+
+    found = solve(name, slope, push_off=push)
+
+    assert len(found) >= 1
