@@ -608,15 +608,17 @@ class Steps:
     def _motion_alone(self) -> list[np.ndarray]:
         """Samples of the motion as `motion` has them, fewer, flown without derivatives."""
         parameters = self.problem.parameters(self.slope, self.scale)
-        motion = self.problem.step.motion(
+        flown = self.problem.step.without_derivatives(
             self.y / self.scale, self.times, parameters, DAMPING_SAMPLES
         )
-        return [part * self.scale for part in motion]
+        return [part * self.scale for part in flown.motion]
 
     @cached_property
     def _fine(self) -> Stride | Strides:
         # Extremes need closer samples than the verification of a step: it is integrated
-        # again with those.
+        # again with those, unless it has them.
+        if len(self.stride.motion[0]) == violations.SAMPLES + 1:
+            return self.stride
         parameters = self.problem.parameters(self.slope, self.scale)
         return self.problem.map(
             self.y / self.scale, self.times, parameters, samples=violations.SAMPLES

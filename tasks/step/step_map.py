@@ -65,6 +65,9 @@ class Stride:
     """One step of n lanes, to first order, in scaled angles and rates and times in
     sqrt(leg/g).
 
+    Of one that is evaluated without derivatives these are NaN, and so is what they
+    correct: it has the event times and, at heelstrike, the rates at the times given.
+
     Attributes
     ----------
     y : ndarray, shape (m, n)
@@ -181,6 +184,20 @@ class StrideMap:
         if self.kneed:
             self._knee = self._compile_knee()
         self._finish = self._compile_finish()
+
+    @functools.cached_property
+    def _end(self) -> CompiledFunction:
+        """From the end of two links to the residual of the joint equations and the
+        rates just before heelstrike, without derivatives; it has the guard of
+        kneestrike.
+        """
+        p, y, x = Symbols(self.structure), vector("y", self.m), vector("x", 4)
+        guards = [hy.make_vars("guard")] if self.kneed else []
+        section = end_of_step(self.structure, p, x)
+        missed = [a - b for a, b in zip(section, y, strict=True)]
+        outputs = [*missed, *guards, x[0] + x[1], *x[2:]]
+
+        return self._function(outputs, [*y, *x, *guards, *p.variables])
 
     @property
     def by_push(self) -> bool:
@@ -352,10 +369,10 @@ class StrideMap:
             motion=motion,
         )
 
-    def motion(
-        self, y: Sections, times: Times, parameters: Parameters, samples: int
-    ) -> Motion:
-        """Sample steps without their derivatives, at a small share of the cost.
+    def without_derivatives(
+        self, y: Sections, times: Times, parameters: Parameters, samples: int = 0
+    ) -> Stride:
+        """Evaluate steps without their derivatives, at a small share of the cost.
 
         Parameters
         ----------
@@ -365,28 +382,69 @@ class StrideMap:
             The heelstrike time, or (kneestrike, heelstrike).
         parameters : ndarray, shape (n_parameters, n)
         samples : int
-            Equal intervals of each phase.
+            Equal intervals of each phase at whose ends the motion is also returned.
 
         Returns
         -------
-        list of ndarray, shape (samples + 1, angles, n)
-            Scaled angles and rates of each phase.
+        Stride
+            NaN in lanes whose integration failed, and for all derivatives.
         """
+        m, n = y.shape
         options = False, samples, False
         start, D = self._begin(y, parameters, False)
-        phase = _Phase(
-            self.structure, start, D[:, :0], parameters, times[0], self.m + 1
-        )
+        phase = _Phase(self.structure, start, D[:, :0], parameters, times[0], m + 1)
+        guard = strike = np.empty((0, n))
         motion = []
+
         if self.kneed:
             end, motion_of_free = _integrate(phase, *options)
             motion.append(motion_of_free)
-            state, *_ = self._kneestrike(end, parameters)
+            state, _, guards, strike = self._kneestrike(end, parameters)
+            guard, strike = guards[:1], strike[:6]
             phase = self._locked_phase(state, False, parameters, times)
             phase = phase._replace(D=phase.D[:, :0])
-        _, motion_of_locked = _integrate(phase, *options)
+        end, motion_of_locked = _integrate(phase, *options)
+        motion.append(motion_of_locked)
 
-        return [*motion, motion_of_locked]
+        out = self._apply(self._end, np.vstack([y, end[:4], guard, parameters]))
+        return self._of_values(y, times, start, out, strike, motion)
+
+    def _of_values(
+        self,
+        y: Sections,
+        times: Times,
+        start: States,
+        out: np.ndarray,
+        knee: np.ndarray,
+        motion: Motion,
+    ) -> Stride:
+        """A stride of values without derivatives; `out` is what `_end` gives."""
+        m, n = y.shape
+        k = len(times)
+        residual, impact = np.split(out, [m + k])
+
+        def unknown(*shape: int) -> np.ndarray:
+            return np.full((*shape, n), np.nan)
+
+        return Stride(
+            y=y,
+            image=residual[:m] + y,
+            jacobian=unknown(m, m),
+            times=times,
+            by_drive=unknown(m),
+            residual=residual,
+            derivative=unknown(m + k, m + k + 1),
+            inverse=unknown(m + k, m + k),
+            newton=unknown(m),
+            newton_times=unknown(k),
+            impact=impact,
+            impact_by_y=unknown(2, m),
+            start=start,
+            closing=unknown(k),
+            knee=knee,
+            knee_by_y=unknown(len(knee), m),
+            motion=motion,
+        )
 
     def _locked_phase(
         self, state: States, slope: bool, parameters: Parameters, times: Times
