@@ -32,6 +32,7 @@ from gaitsweep.tasks.branches.joint import (
     Evaluation,
     determinants,
     evaluate,
+    evaluate_values,
     rounding_step,
 )
 from gaitsweep.tasks.branches.pseudo_arclength import (
@@ -313,6 +314,10 @@ class Equations:
         `Problem.stride` takes them.
         """
         return evaluate(self.problem_at(X), self.split(X)[0], samples)
+
+    def evaluate_values(self, X: Coordinates, samples: int = 0) -> Evaluation:
+        """Evaluate steps as `evaluate` does, but for their derivatives."""
+        return evaluate_values(self.problem_at(X), self.split(X)[0], samples)
 
     # Where heelstrike is tangential to the last digit the map has no derivative.
     @np.errstate(invalid="ignore", over="ignore", divide="ignore")

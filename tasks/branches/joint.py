@@ -96,6 +96,12 @@ def evaluate(problem: Problem, Z: Coordinates, samples: int = 0) -> Evaluation:
     return Evaluation(Z, stride, problem)
 
 
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
+def evaluate_values(problem: Problem, Z: Coordinates, samples: int = 0) -> Evaluation:
+    """Evaluate steps as `evaluate` does, but for their derivatives, which are NaN."""
+    return Evaluation(Z, problem.without_derivatives(Z[:-1], Z[-1], samples), problem)
+
+
 def determinants(matrices: ndarray) -> ndarray:
     """Return determinants.
 

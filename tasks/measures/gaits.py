@@ -615,7 +615,9 @@ class Steps:
     @cached_property
     def _fine(self) -> Stride | Strides:
         # Extremes need closer samples than the verification of a step: it is integrated
-        # again with those.
+        # again with those, unless it has them.
+        if len(self.stride.motion[0]) == violations.SAMPLES + 1:
+            return self.stride
         parameters = self.problem.parameters(self.slope, self.scale)
         return self.problem.map(
             self.y / self.scale, self.times, parameters, samples=violations.SAMPLES

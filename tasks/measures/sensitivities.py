@@ -28,6 +28,7 @@ from gaitsweep.tasks.branches.joint import Evaluation
 from gaitsweep.tasks.contract.registry import BY_KEY, SENSITIVITIES, VARIABLES
 from gaitsweep.tasks.gaits.polish import Polished
 from gaitsweep.tasks.measures.levels import measures, measures_at
+from gaitsweep.tasks.measures.violations import SAMPLES
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait
 from gaitsweep.tasks.mechanics.lumped import constants_of, general_structure_of
 from gaitsweep.tasks.mechanics.sums import matvec, total
@@ -87,6 +88,8 @@ _SMOOTH, _LEAST_CONSTANT = 1e-12, 1e-3
 _KINK = 1e-3
 #: How often a step is made ten times as small where that is so.
 _TIMES_SMALLER = 2
+#: Gaits, for each unknown, that are evaluated side by side: more would need memory.
+_MOST_LANES = 512
 _CHANGED, _LEAST_CHANGED = 2e-2, 1.0
 _TIMES_FINER = 7
 
@@ -157,7 +160,10 @@ class KeyOfWalker:
 
         structure = general_structure_of(self.walker_at(*keys.ordinary))
         for factor in 10.0 ** np.arange(_TIMES_FINER):
-            finer = replace(keys, difference=keys.difference / factor)
+            # What is known of the keys already stays known where nothing changes.
+            finer = keys
+            if factor > 1:
+                finer = replace(keys, difference=keys.difference / factor)
             places = np.arange(7.0) if self.is_least(finer) else np.arange(-3.0, 4.0)
             values = self.value + places * self.stencil(finer).step * keys.scale[0]
             walkers = [self.walker_at(value) for value in values.tolist()]
@@ -240,6 +246,17 @@ class Rows:
     def smooth(self) -> list[str]:
         """Names of the measures that are smooth."""
         return [name for name in self.names if name != _RADIUS]
+
+    def beside(self, equations: Equations, X: Coordinates) -> Evaluation:
+        """Evaluate steps at points (u, n) for these rows: with derivatives only where
+        rows, or what another package measures, may need them; sampled for violations.
+        """
+        of_names = [VARIABLES[name] for name in self.names]
+        has_violations = any(each.group == "violations" for each in of_names)
+        samples = SAMPLES if has_violations else 0
+        if _RADIUS in self.names or any(each.measure for each in of_names):
+            return equations.evaluate(X, samples)
+        return equations.evaluate_values(X, samples)
 
     def at(self, at: Evaluation) -> np.ndarray:
         """Return the rows (r, n) of gaits that are evaluated."""
@@ -342,11 +359,10 @@ class _Neighbourhood:
         equations = Equations(problem)
         system = equations.at(Z)
         own = rows.at(system.gait)
-        by_unknowns = [
-            _differences(rows.at, equations, Z, unknown, _CENTRAL, rows.sizes, own)
-            for unknown in range(len(Z))
-        ]
-        of_measures, kinks = np.stack(by_unknowns, axis=2)
+        most = max(1, _MOST_LANES // Z.shape[1])
+        unknowns = np.split(np.arange(len(Z)), range(most, len(Z), most))
+        parts = [_by_unknowns(rows, equations, Z, some, own) for some in unknowns]
+        of_measures, kinks = np.concatenate(parts, axis=2)
         return cls(problem, Z, rows, system.derivative, own, of_measures, kinks)
 
     def by_slope(self) -> np.ndarray:
@@ -371,10 +387,11 @@ class _Neighbourhood:
         own = np.full((1, self.Z.shape[1]), key.value / scale)
         joint = len(self.Z) - 1
         both, kinks = _differences(
+            self.rows,
             self._equations_and_measures,
             equations,
             np.vstack([self.Z, own]),
-            len(self.Z),
+            np.full(self.Z.shape[1], len(self.Z)),
             key.stencil(keys),
             self._sizes,
             np.vstack([np.zeros_like(self.Z[1:]), self.own]),
@@ -409,6 +426,30 @@ class _Neighbourhood:
         return np.where(is_rough, np.nan, found)
 
 
+def _by_unknowns(
+    rows: Rows,
+    equations: Equations,
+    Z: Coordinates,
+    unknowns: np.ndarray,
+    own: np.ndarray,
+) -> np.ndarray:
+    """What `_differences` returns of rows, by some of the unknowns Z (c, n) of one
+    walker's gaits, shape (2, r, unknowns, n): all are lanes of one evaluation.
+    """
+    times = len(unknowns)
+    found = _differences(
+        rows,
+        rows.at,
+        equations,
+        np.tile(Z, times),
+        np.repeat(unknowns, Z.shape[1]),
+        _CENTRAL,
+        rows.sizes,
+        np.tile(own, times),
+    )
+    return found.reshape(*found.shape[:2], times, -1)
+
+
 def _moved(by_w: np.ndarray, by_other: np.ndarray) -> np.ndarray:
     """How gaits move with another unknown: -G_w^-1 G_p, shape (c - 1, n); NaN where the
     equations are singular.
@@ -427,10 +468,11 @@ def _moved(by_w: np.ndarray, by_other: np.ndarray) -> np.ndarray:
 # A gait beside one at which strikes are tangential may not be.
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
 def _differences(
+    rows: Rows,
     function: Callable[[Evaluation], np.ndarray],
     equations: Equations,
     X: Coordinates,
-    unknown: int,
+    unknown: np.ndarray,
     stencil: _Stencil,
     sizes: Callable[[np.ndarray], np.ndarray],
     own: np.ndarray,
@@ -440,12 +482,16 @@ def _differences(
 
     Parameters
     ----------
+    rows : Rows
+        As whose the steps are evaluated.
+    unknown : ndarray of int, shape (n,)
+        The unknown of each lane.
     sizes : callable
         Sizes of the function's values, over which it may be off.
     own : ndarray, shape (r, n)
         Its values at X.
     """
-    found = _by_stencil(function, equations, X, unknown, stencil, own)
+    found = _by_stencil(rows, function, equations, X, unknown, stencil, own)
     for _ in range(_TIMES_SMALLER):
         derivatives, off = found
         is_rough = off > _KINK * (sizes(derivatives) + sizes(own))
@@ -454,10 +500,11 @@ def _differences(
             break
         stencil = stencil.finer(10)
         finer = _by_stencil(
+            rows,
             function,
             equations.some(lanes),
             X[:, lanes],
-            unknown,
+            unknown[lanes],
             stencil,
             own[:, lanes],
         )
@@ -467,10 +514,11 @@ def _differences(
 
 
 def _by_stencil(
+    rows: Rows,
     function: Callable[[Evaluation], np.ndarray],
     equations: Equations,
     X: Coordinates,
-    unknown: int,
+    unknown: np.ndarray,
     stencil: _Stencil,
     own: np.ndarray,
 ) -> np.ndarray:
@@ -479,9 +527,10 @@ def _by_stencil(
     """
     n, beside = X.shape[1], len(stencil.places)
     points = np.tile(X, beside)
-    points[unknown] += stencil.step * np.repeat(stencil.places, n)
+    shifts = stencil.step * np.repeat(stencil.places, n)
+    points[np.tile(unknown, beside), np.arange(n * beside)] += shifts
     lanes = np.tile(np.arange(n), beside)
-    values = function(equations.some(lanes).evaluate(points))
+    values = function(rows.beside(equations.some(lanes), points))
     values = values.reshape(-1, beside, n)
     weighted = (weight * values[:, k] for k, weight in enumerate(stencil.weights))
     derivatives = total(weighted) / stencil.step

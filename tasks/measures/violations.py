@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy import ndarray
-from numpy.polynomial.polynomial import polyder, polyfromroots, polyval
+from numpy.polynomial.polynomial import polyder, polyfromroots
 
 from gaitsweep.tasks.contract.registry import VARIABLES, VIOLATIONS
 from gaitsweep.tasks.contract.tables import Arrays
@@ -145,20 +145,28 @@ def _peak(x: ndarray, best: ndarray) -> tuple[ndarray, ndarray]:
     t = at
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         powers = _through(x, middle)
-        for _ in range(6):
-            slope = _polynomial(powers, t, 1)
-            curvature = _polynomial(powers, t, 2)
-            # Uphill in either case: where the polynomial is convex, its greatest value
-            # is at an end.
-            step = np.where(curvature < 0, -slope / curvature, np.sign(slope))
-            t = np.clip(t + np.where(np.isfinite(step), step, 0.0), low, high)
-
+        t = _to_top(powers, t, low, high)
         refined = _polynomial(powers, t)
         # At an end the value is that of a sample; only inside can the polynomial exceed
         # the samples.
         is_larger = (refined > value) & (t > low) & (t < high)
     place = np.where(is_larger, t, at)
     return np.where(is_larger, refined, value), middle + _SIDE * place
+
+
+def _to_top(powers: ndarray, t: ndarray, low: ndarray, high: ndarray) -> ndarray:
+    """Where polynomials are greatest between two places, from a guess, by Newton's
+    method.
+    """
+    first, second = polyder(powers), polyder(powers, 2)
+    for _ in range(6):
+        slope = _polynomial(first, t)
+        curvature = _polynomial(second, t)
+        # Uphill in either case: where the polynomial is convex, its greatest value is
+        # at an end.
+        step = np.where(curvature < 0, -slope / curvature, np.sign(slope))
+        t = np.clip(t + np.where(np.isfinite(step), step, 0.0), low, high)
+    return t
 
 
 def _passing(chain: Chain, phase: _Phase) -> ndarray:
@@ -221,8 +229,14 @@ def _step_to_extreme(plus: ndarray, minus: ndarray, t: ndarray) -> ndarray:
 
 
 def _polynomial(powers: ndarray, t: ndarray, order: int = 0) -> ndarray:
-    """Values or derivatives of polynomials, one a lane."""
-    return np.asarray(polyval(t, polyder(powers, order), tensor=False))
+    """Values or derivatives of polynomials, one a lane, by Horner's rule: numpy's own
+    checks its arguments for longer than it computes.
+    """
+    powers = polyder(powers, order) if order else powers
+    value = powers[-1] + 0.0 * t
+    for power in powers[-2::-1]:
+        value = power + value * t
+    return np.asarray(value)
 
 
 def _ratio(force: ndarray) -> ndarray:

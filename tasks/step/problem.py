@@ -195,6 +195,14 @@ class Problem:
         )
         return stride, scale
 
+    def without_derivatives(
+        self, w: np.ndarray, log_slope: np.ndarray, samples: int = 0
+    ) -> AnyStride:
+        """Evaluate steps as `stride` does, but for their derivatives."""
+        y, scale = self.section(w)
+        parameters = self.parameters(np.exp(log_slope), scale)
+        return self.map.without_derivatives(y, w[self.m :], parameters, samples)
+
     def section(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Scaled section coordinates of similarity coordinates, and the power of two
         that divides them.

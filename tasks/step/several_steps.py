@@ -10,6 +10,7 @@ shapes, m and k count the section coordinates and the phases of all steps, n lan
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -233,6 +234,30 @@ class StepSequence:
         """Evaluate steps as `StrideMap` does, of sections (m, n) and event times (k, n)
         of all steps.
         """
+
+        def single(y: ndarray, durations: ndarray, parameters: ndarray) -> Stride:
+            return self.single(y, durations, parameters, slope, samples, coarse)
+
+        return self._of_single(single, y, times, parameters)
+
+    def without_derivatives(
+        self, y: ndarray, times: ndarray, parameters: ndarray, samples: int = 0
+    ) -> Strides:
+        """Evaluate steps as `StrideMap.without_derivatives` does."""
+
+        def single(y: ndarray, durations: ndarray, parameters: ndarray) -> Stride:
+            return self.single.without_derivatives(y, durations, parameters, samples)
+
+        return self._of_single(single, y, times, parameters)
+
+    def _of_single(
+        self,
+        single: Callable[..., Stride],
+        y: ndarray,
+        times: ndarray,
+        parameters: ndarray,
+    ) -> Strides:
+        """All steps, by what evaluates single ones."""
         s = self.steps
         n = y.shape[1]
         m = self.single.m
@@ -251,7 +276,7 @@ class StepSequence:
         # Lanes of differences share most of their steps.
         inputs, place = np.unique(inputs, axis=1, return_inverse=True)
         of_steps = inputs[:m], inputs[m : m + k], inputs[m + k :]
-        one = self.single(*of_steps, slope, samples, coarse)
+        one = single(*of_steps)
         place = place.reshape(s, n)
         every = one.mapped(lambda values: values[..., place])
         return Strides(every, y, times.copy())

@@ -65,6 +65,9 @@ class Stride:
     """One step of n lanes, to first order, in scaled angles and rates and times in
     sqrt(leg/g).
 
+    Of one that is evaluated without derivatives these are NaN, and so is what they
+    correct: it has the event times and, at heelstrike, the rates at the times given.
+
     Attributes
     ----------
     y : ndarray, shape (m, n)
@@ -204,6 +207,20 @@ class StrideMap:
         if self.kneed:
             self._knee = self._compile_knee()
         self._finish = self._compile_finish()
+
+    @functools.cached_property
+    def _end(self) -> CompiledFunction:
+        """From the end of two links to the residual of the joint equations and the
+        rates just before heelstrike, without derivatives; it has the guard of
+        kneestrike.
+        """
+        p, y, x = Symbols(self.structure), vector("y", self.m), vector("x", 4)
+        guards = [hy.make_vars("guard")] if self.kneed else []
+        section = end_of_step(self.structure, p, x)
+        missed = [a - b for a, b in zip(section, y, strict=True)]
+        outputs = [*missed, *guards, x[0] + x[1], *x[2:]]
+
+        return self._function(outputs, [*y, *x, *guards, *p.variables])
 
     @property
     def by_push(self) -> bool:
@@ -376,7 +393,7 @@ class StrideMap:
         Parameters
         ----------
         y : ndarray, shape (m, n)
-            Scaled section coordinates.
+            Scaled sections.
         times : ndarray, shape (k, n) [sqrt(leg/g)]
             The heelstrike time, or (kneestrike, heelstrike).
         parameters : ndarray, shape (n_parameters, n)
@@ -386,11 +403,83 @@ class StrideMap:
         ndarray, shape (n,)
             Of scaled rates: what a damper of unit damping dissipates.
         """
-        state, D = self._begin(y, parameters, False)
-        begin = state, D[:, :0]
+        begin = self._begin_alone(y, parameters)
         flown, _ = self._fly(_integrate_dissipation, begin, parameters, times, 0)
 
         return total(phase.dissipated for phase in flown)
+
+    def without_derivatives(
+        self, y: Sections, times: Times, parameters: Parameters, samples: int = 0
+    ) -> Stride:
+        """Evaluate steps without their derivatives, at a small share of the cost.
+
+        Parameters
+        ----------
+        y : ndarray, shape (m, n)
+            Scaled sections.
+        times : ndarray, shape (k, n) [sqrt(leg/g)]
+            The heelstrike time, or (kneestrike, heelstrike).
+        parameters : ndarray, shape (n_parameters, n)
+        samples : int
+            Equal intervals of each phase at whose ends the motion is also returned.
+
+        Returns
+        -------
+        Stride
+            NaN in lanes whose integration failed, and for all derivatives.
+        """
+        begin = self._begin_alone(y, parameters)
+        fly = functools.partial(_integrate, slope=False, samples=samples, coarse=False)
+        flown, strike = self._fly(fly, begin, parameters, times, 0)
+
+        end = flown[-1].end[:4]
+        out = self._apply(self._end, np.vstack([y, end, strike.guard[:1], parameters]))
+        motion = [phase.motion for phase in flown]
+        return self._of_values(y, times, begin[0], out, strike.before[:6], motion)
+
+    def _begin_alone(
+        self, y: Sections, parameters: Parameters
+    ) -> tuple[States, np.ndarray]:
+        """The first state of steps, and no directions."""
+        state, D = self._begin(y, parameters, False)
+        return state, D[:, :0]
+
+    def _of_values(
+        self,
+        y: Sections,
+        times: Times,
+        start: States,
+        out: np.ndarray,
+        knee: np.ndarray,
+        motion: Motion,
+    ) -> Stride:
+        """A stride of values without derivatives; `out` is what `_end` gives."""
+        m, n = y.shape
+        k = len(times)
+        residual, impact = np.split(out, [m + k])
+
+        def unknown(*shape: int) -> np.ndarray:
+            return np.full((*shape, n), np.nan)
+
+        return Stride(
+            y=y,
+            image=residual[:m] + y,
+            jacobian=unknown(m, m),
+            times=times,
+            by_drive=unknown(m),
+            residual=residual,
+            derivative=unknown(m + k, m + k + 1),
+            inverse=unknown(m + k, m + k),
+            newton=unknown(m),
+            newton_times=unknown(k),
+            impact=impact,
+            impact_by_y=unknown(2, m),
+            start=start,
+            closing=unknown(k),
+            knee=knee,
+            knee_by_y=unknown(len(knee), m),
+            motion=motion,
+        )
 
     def _fly(
         self,
