@@ -7,6 +7,10 @@ import io
 import os
 import sys
 
+#: How many times longer than something that is shown of a run takes is waited before it
+#: is done again.
+PAUSE = 100.0
+
 
 def prepare() -> None:
     """Open closed standard streams on the null device, so that no other file takes
@@ -76,3 +80,8 @@ def duration(seconds: float) -> str:
     if seconds < 7200:
         return f"{seconds / 60:.3g} min"
     return f"{float(f'{seconds / 3600:.3g}'):,.10g} h"
+
+
+def processor_time() -> float:
+    """Processor time of this process and of those that it has waited for [s]."""
+    return sum(os.times()[:4])

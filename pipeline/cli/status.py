@@ -1,22 +1,33 @@
 """`gaitsweep status`: progress of the current or last run."""
 
 import argparse
-from collections.abc import Iterator
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from gaitsweep.pipeline import paths, terminal
 from gaitsweep.pipeline.cli import kinds, studies
 from gaitsweep.pipeline.cli.errors import gravest, say
 from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.engine import locks
 from gaitsweep.pipeline.engine.progress import last_state, sentence
-from gaitsweep.pipeline.errors import GaitsweepError
-from gaitsweep.pipeline.terminal import counted, duration
+from gaitsweep.pipeline.errors import GaitsweepError, unwritten
+from gaitsweep.pipeline.terminal import PAUSE, counted, duration, processor_time
+
+if TYPE_CHECKING:
+    from gaitsweep.pipeline.report.progress_page import ProgressPage
+
+#: Least interval at which a page is written, that of the states that runs log [s].
+_EVERY = 5
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the state of every run; returns the gravest exit code."""
     archives, codes = studies.archives(options.names, options.debug)
+    if options.page and (archives or not codes):
+        keep_page(archives, options.page)
     records, lines = [], list[str]()
     for path in archives:
         try:
@@ -31,6 +42,58 @@ def run(options: argparse.Namespace) -> int:
         nothing = "There is no record of a run in data/archive."
         kinds.show(options, records, lines or [nothing])
     return gravest(codes)
+
+
+def keep_page(
+    archives: Sequence[Path],
+    page: Path,
+    sleep: Callable[[float], object] = time.sleep,
+) -> None:
+    """Write the page of some runs, again and again until none is in flight.
+
+    Runs know nothing of it. Once it has started, its processor time is about a
+    hundredth of the time that passes, and it yields to everything else.
+
+    Raises
+    ------
+    GaitsweepError
+        If a log cannot be read, or the page cannot be written.
+    """
+    from gaitsweep.pipeline.report.progress_page import ProgressPage
+
+    paths.check_own(page, rb"(?s)<!doctype html>.*gaitsweep")
+    os.nice(10)
+    drawn = ProgressPage()
+    is_running, is_first = True, True
+    try:
+        while is_running:
+            is_running = any(
+                state and state["running"] for state in map(state_of, archives)
+            )
+            drawn.update(archives, at_once=not is_running)
+            began = processor_time()
+            _write_page(page, drawn, archives, _EVERY if is_running else 0)
+            if is_running and is_first:
+                terminal.say(f"{page} is kept until no run is in flight.")
+            is_first = False
+            if is_running:
+                sleep(max(_EVERY, PAUSE * (processor_time() - began)))
+    except KeyboardInterrupt:
+        _write_page(page, drawn, archives, 0)
+        raise
+
+
+def _write_page(
+    page: Path, drawn: "ProgressPage", archives: Sequence[Path], refresh: int
+) -> None:
+    """Write the page of some runs once."""
+    states = {path: state_of(path) for path in archives}
+    said = {path: list(_lines(path, state)) for path, state in states.items()}
+    text = drawn.text(states, said, refresh)
+    try:
+        paths.publish(page, text.encode())
+    except OSError as error:
+        raise unwritten(page, error) from error
 
 
 def state_of(path: Path) -> dict[str, Any] | None:

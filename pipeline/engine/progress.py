@@ -27,7 +27,7 @@ _SUMMED = ("points", "cached", "done", "todo", "rate", "eta")
 #: Time for which a remote worker that answered counts as there [s].
 _ANSWERED = 60.0
 #: What users read of tasks that no study names.
-_STAGES = {"atlas": "searches"}
+STAGES = {"atlas": "searches"}
 
 
 class Progress(Listener):
@@ -222,7 +222,7 @@ def sentence(state: dict[str, Any]) -> str:
         )
         parts.append(f"{state['rate']:,.0f} a second")
     parts += [
-        f"{_STAGES.get(name, name)} {stage['done']:,} of {stage['todo']:,}"
+        f"{STAGES.get(name, name)} {stage['done']:,} of {stage['todo']:,}"
         for name, stage in state["stages"].items()
         if name != "points"
     ]

@@ -188,11 +188,11 @@ def _delivered(source: Source, slug: str) -> tuple[str, folder.Page]:
 
 def _study_page(source: Source, slug: str, pictures: Sequence[Picture]) -> folder.Page:
     """The page of one study, which depends on no other, and its data files."""
-    drawings, undrawn = _drawings(source, slug)
+    drawn, undrawn = drawings(source, slug)
     sections = html_tables.sections(source)
     absent = html_tables.points(source)
     listed = html_tables.listed(absent)
-    frames = {drawing.name: drawing.data for drawing in drawings}
+    frames = {drawing.name: drawing.data for drawing in drawn}
     frames |= {
         f"table-{table.name}": table.frame
         for _, own in sections.values()
@@ -204,18 +204,18 @@ def _study_page(source: Source, slug: str, pictures: Sequence[Picture]) -> folde
     template, lines, states = (
         _environment().get_template("study.html"),
         starts.lines(source),
-        _share_states(drawings),
+        _share_states(drawn),
     )
     text = template.render(
         source=source,
         slug=slug,
-        drawings=drawings,
+        drawings=drawn,
         undrawn=undrawn,
         pictures=pictures,
         slices=slices.volume(source) if "heatmap" in source.figures else {},
         lines=lines,
         states=states,
-        entries=[vars(_entry(source, slug, drawings, lines, files))],
+        entries=[vars(_entry(source, slug, drawn, lines, files))],
         sections=sections,
         csv=csv,
         absent=absent,
@@ -261,33 +261,33 @@ def _entry(
     )
 
 
-def _drawings(source: Source, slug: str) -> tuple[list[Drawing], dict[str, str]]:
+def drawings(source: Source, slug: str) -> tuple[list[Drawing], dict[str, str]]:
     """The figures of a study, and why others that it wants are missing."""
     added = {"fits/scaling": "residuals", "overlay": "measured", "lyapunov": "lyapunov"}
     wanted = dict.fromkeys(source.figures)
     if "walker" in wanted:  # where the walker is drawn, its parameters are named
         wanted["parameters"] = None
     wanted |= {name: None for table, name in added.items() if table in source.tables}
-    drawings: list[Drawing] = []
+    drawn: list[Drawing] = []
     undrawn: dict[str, str] = {}
     told: set[str] = set()
     for name in wanted:
         try:
             drawing = draw(
-                source, name, slug, not drawings, told
+                source, name, slug, not drawn, told
             )  # the index shows the first
         except Undrawn as why:
             undrawn |= (
                 {name: str(why)} if name in source.figures and name != "claims" else {}
             )
             continue
-        drawings.append(
+        drawn.append(
             replace(
                 drawing,
                 title=paper.words(source).get(name, {}).get("title", drawing.title),
             )
         )
-    return drawings, undrawn
+    return drawn, undrawn
 
 
 def _data_files(

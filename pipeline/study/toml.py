@@ -5,6 +5,7 @@ write. Loads nothing of `tasks`.
 import json
 import re
 import tomllib
+import unicodedata
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -76,8 +77,17 @@ def note_place(error: Exception, text: str, cause: Exception) -> None:
     shown = lines[number - 1][first : column - 1 + _AROUND]
     plain = "".join(c if c.isprintable() else " " for c in shown)
     head = f"  {number} | "
-    caret = " " * (column - 1 - first) + "^"
+    caret = " " * _columns(plain[: column - 1 - first]) + "^"
     error.add_note(f"{head}{plain.rstrip()}\n{'| ':>{len(head)}}{caret}")
+
+
+def _columns(text: str) -> int:
+    """Columns of a terminal that a text takes: of wide letters two each, of marks that
+    combine with the letter before them none.
+    """
+    wide = sum(unicodedata.east_asian_width(letter) in "WF" for letter in text)
+    combined = sum(unicodedata.combining(letter) > 0 for letter in text)
+    return len(text) + wide - combined
 
 
 def written(value: Any, key: str = "") -> str:

@@ -443,6 +443,8 @@ def test_a_study_that_is_no_toml_is_shown_its_line(write):
 @pytest.mark.parametrize(
     ("text", "line", "caret"),
     [
+        ('"歩行" = 1 2', '  1 | "歩行" = 1 2', "    |            ^"),
+        ('"e\u0301" = 1 2', '  1 | "e\u0301" = 1 2', "    |         ^"),
         ('name = "s"\n[axes\nslope = [0.1]\n', "  2 | [axes", "    |      ^"),
         ('name = "s"\r\n\twalker = E\r\n', "  2 |  walker = E", "    |           ^"),
         ('name = "s"\nx = [1, 2\n\n', "  2 | x = [1, 2", "    |          ^"),

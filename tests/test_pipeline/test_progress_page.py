@@ -1,0 +1,95 @@
+"""The page of runs in flight."""
+
+import itertools
+import json
+import os
+import re
+import time
+
+import pytest
+
+from gaitsweep.pipeline.cli import status
+from gaitsweep.pipeline.companions import Companions
+from gaitsweep.pipeline.engine.locks import lock_archive
+from gaitsweep.pipeline.report.progress_page import ProgressPage
+
+_STATE = {
+    "time": 1.0, "event": "state", "elapsed": 20.0, "points": 400, "cached": 0,
+    "done": 100, "todo": 400, "tasks": {}, "counts": {"converged": 100},
+    "stages": {"atlas": {"done": 2, "todo": 2, "eta": 0.0},
+               "points": {"done": 100, "todo": 400, "eta": 60.0}},
+    "rate": 5.0, "eta": 60.0, "overdue": False, "memory": 1 << 20, "workers": [],
+}  # fmt: skip
+
+
+def test_the_page_of_a_run_tells_stages_until_it_ends_and_costs_a_hundredth(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(os, "nice", lambda by: 0)
+    archive = tmp_path / "toy.nc"
+    companions = Companions(archive)
+    companions.make_folder()
+    companions.events.write_text(json.dumps(_STATE) + "\n")
+    page = tmp_path / "runs.html"
+    texts, pauses = [], []
+    ProgressPage().text({}, {})  # templates are loaded once
+    used = [sum(os.times()[:4])]
+
+    with lock_archive(archive):
+
+        def sleep(seconds):
+            texts.append(page.read_text())
+            used.append(sum(os.times()[:4]))
+            pauses.append(seconds)
+            if len(texts) == 2:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            status.keep_page([archive], page, sleep)
+
+    for text in texts:
+        assert '<meta http-equiv="refresh" content="5">' in text
+        assert re.search(r'<progress max="400" value="100" aria-label="points', text)
+        assert "60 s to go" in text and "searches" in text
+    spent = [b - a for a, b in itertools.pairwise(used)]
+    # The clock of processor time has ticks of 10 ms.
+    assert all(p >= 100 * (s - 0.02) for p, s in zip(pauses, spent, strict=True))
+    assert "refresh" not in page.read_text().partition("<style>")[0]
+
+
+def test_a_page_of_runs_replaces_no_file_of_others(tmp_path):
+    page = tmp_path / "runs.html"
+    page.write_text("mine")
+    with pytest.raises(Exception, match="not a file of gaitsweep"):
+        status.keep_page([tmp_path / "toy.nc"], page)
+    assert page.read_text() == "mine"
+
+
+@pytest.mark.thorough
+def test_a_page_kept_beside_a_run_shows_figures_and_lines_and_ends_with_it(toy):
+    toy.write(
+        'name = "toy"\nwalker = "E"\n[axes]\nw_t = [0.0, 0.1]\n'
+        "slope = { from = 1e-4, to = 0.2, n = 200 }\n"
+        '[want]\nvariables = ["stance_angle"]\nfigures = ["linear"]\n'
+    )
+    archive = toy.folder / "data" / "archive" / "toy.nc"
+    run = toy.start(
+        "run", "toy.toml", "--chunk", 5, "--snapshot", "0", TOY_SECONDS="0.15"
+    )
+    while not archive.exists() and run.poll() is None:
+        time.sleep(0.02)
+
+    watch = toy.start("status", "toy.toml", "--page", "runs.html")
+    page, first = toy.folder / "runs.html", ""
+    while "<svg" not in first and run.poll() is None:
+        first = page.read_text() if page.exists() else ""
+        time.sleep(0.02)
+    assert 'http-equiv="refresh"' in first and "<svg" in first
+    assert "Lines that lack points" in first and 'aria-label="w_t = 0: ' in first
+
+    run.communicate()
+    watch.communicate(timeout=120)
+    last = page.read_text()
+    assert watch.returncode == 0 and 'http-equiv="refresh"' not in last
+    assert "finished: 400 points" in last and "2 of 2 lines are finished" in last
+    assert len(last) < 500_000
