@@ -142,6 +142,67 @@ def diff(
         return [*_Comparison((a, b), grids, tolerance).of_archives(left, right)]
 
 
+@dataclass(frozen=True)
+class Numbers:
+    """A variable of numbers that two archives have, at the coordinates that both have.
+
+    Attributes
+    ----------
+    name, units : str
+    first, second : DataArray
+        Its values in either archive, in one order; NaN where there is none.
+    difference : DataArray
+        |first - second| over the size with which they are compared, by default the
+        larger of both; NaN where one of them lacks a value.
+    """
+
+    name: str
+    units: str
+    first: xr.DataArray
+    second: xr.DataArray
+    difference: xr.DataArray
+
+
+def numbers(a: Path, b: Path) -> list[Numbers]:
+    """Return the numbers that two archives have over coordinates, to be drawn.
+
+    Raises
+    ------
+    ArchiveError
+        If an archive cannot be read.
+    """
+    found = []
+    with open_archive(a) as left, open_archive(b) as right:
+        grids = _raw(left), _raw(right)
+        for name in _compared(*grids):
+            if all(_is_over_coordinates(grid, name) for grid in grids):
+                found.append(_numbers(name, grids))
+    return found
+
+
+def _is_over_coordinates(grid: xr.Dataset, name: str) -> bool:
+    """Whether a group has numbers of a name over coordinates alone."""
+    if name not in grid or grid[name].dtype.kind != "f" or not grid[name].dims:
+        return False
+    return set(grid[name].dims) <= set(grid.indexes)
+
+
+def _numbers(name: str, grids: _Pair) -> Numbers:
+    """A variable of two groups where both have it."""
+    first, second = xr.align(*(grid[name].load() for grid in grids), join="inner")
+    second = second.transpose(*first.dims)
+    *_, size = _aligned(name, grids)
+    if size is None:
+        size = np.fmax(np.abs(first.values), np.abs(second.values))
+    if name in _ROUNDING:
+        size = np.ones(first.shape)
+
+    gap = np.abs(first.values - second.values)
+    over = np.divide(gap, size, out=np.zeros(gap.shape), where=gap > 0)
+    difference = first.copy(data=np.where(np.isnan(gap), np.nan, over))
+    return Numbers(name, str(first.attrs.get("units", "")), first, second, difference)
+
+
 def _raw(group: Any) -> xr.Dataset:
     """A group with its values as they are stored."""
     return dataset(group, mask_and_scale=False, decode_times=False)

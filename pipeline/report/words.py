@@ -127,9 +127,9 @@ def yes_or_no(flags: pd.Series) -> pd.Series:
 
 
 def axis_values(at: Mapping[str, Any]) -> str:
-    """Values of axes in words: a walker's name, numbers with their symbols."""
+    """Values of axes in words: names as they are, numbers with their symbols."""
     return ", ".join(
-        str(v) if k == "walker" else f"{SYMBOLS.get(k, k)} = {plain(float(v), 6)}"
+        v if isinstance(v, str) else f"{SYMBOLS.get(k, k)} = {plain(float(v), 6)}"
         for k, v in at.items()
     )
 

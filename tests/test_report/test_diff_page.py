@@ -1,0 +1,87 @@
+"""The page on which two archives are compared."""
+
+import re
+import shutil
+
+import netCDF4
+import numpy as np
+import pytest
+
+from conftest import STUDY, Toy
+from gaitsweep.pipeline.archive import diff
+from gaitsweep.pipeline.cli import commands
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    toy = Toy(tmp_path_factory.mktemp("archive"))
+    toy.write(STUDY)
+    toy("run", "toy.toml")
+    return toy.folder / "data" / "archive" / "toy.nc"
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    shutil.copy(made, tmp_path / "copy.nc")
+    return tmp_path / "copy.nc"
+
+
+def _change(path):
+    """Change two numbers by known shares, and take a third away."""
+    with netCDF4.Dataset(path, "a") as file:
+        angle = file["stance_angle"]
+        angle[3, 1, 0] *= 1 + 1e-9
+        angle[7, 0, 1] *= 1 + 1e-6
+        angle[9, 1, 0] = np.nan
+
+
+def test_the_page_tells_where_two_archives_differ_most(made, copy, capsys):
+    _change(copy)
+    page = copy.with_name("page.html")
+
+    code = commands.main(["diff", str(made), str(copy), "--page", str(page)])
+
+    said, text = capsys.readouterr().out, page.read_text()
+    assert code == 1
+    for sentence in said.splitlines():
+        assert sentence.replace("`", "") in text
+    with netCDF4.Dataset(made) as file:
+        slope = float(file["slope"][7])
+        gait = str(file["gait"][1])
+    row = re.search(r"<tr><td[^>]*>stance_angle.*?</tr>", text).group()
+    place = re.search(r"γ = ([0-9.]+), w_t = ([0-9.]+), (\w+)", row).groups()
+    assert float(place[0]) == pytest.approx(slope, rel=1e-5)
+    assert place[1:] == ("0", gait)
+    assert "<svg" in text
+
+
+def test_numbers_differ_by_shares_of_the_larger(made, copy):
+    _change(copy)
+
+    (angle,) = (one for one in diff.numbers(made, copy) if one.name == "stance_angle")
+
+    found = angle.difference.values
+    assert found[3, 1, 0] == pytest.approx(1e-9, rel=1e-5)
+    assert found[7, 0, 1] == pytest.approx(1e-6, rel=1e-5)
+    assert np.isnan(found[9, 1, 0])
+    assert np.count_nonzero(found > 0) == 2
+
+
+def test_archives_that_agree_are_said_to_agree(made, copy, capsys):
+    page = copy.with_name("page.html")
+
+    code = commands.main(["diff", str(made), str(copy), "--page", str(page)])
+
+    assert code == 0
+    assert "They agree." in page.read_text() and "<svg" not in page.read_text()
+
+
+def test_the_page_replaces_no_file_of_others(made, copy, capsys):
+    page = copy.with_name("page.html")
+    page.write_text("mine")
+
+    code = commands.main(["diff", str(made), str(copy), "--page", str(page)])
+
+    error = capsys.readouterr().err
+    assert code != 0 and error.count("\n") == 1 and "not a file of gaitsweep" in error
+    assert page.read_text() == "mine"
