@@ -41,7 +41,7 @@ class Location:
         self, name: str, known: Iterable[str], kind: str = "name"
     ) -> StudyError:
         """Error for an unknown name or key, with the nearest known one."""
-        known = list(known)
+        known = list(dict.fromkeys(known))
         near = difflib.get_close_matches(name, known, 1)
         hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known)}"
         return self.error(f"Unknown {kind} `{clip(name)}`, {hint}")

@@ -232,6 +232,16 @@ def test_a_wrong_study_is_answered_in_one_helpful_line(write, line, wrong, said)
     assert str(error.value) == said
 
 
+def test_what_would_have_been_known_is_listed_once_each(write):
+    text = 'name = "s"\nwalker = "E"\n[want]\nvariables = ["qqqqqq"]\n'
+
+    with pytest.raises(StudyError) as error:
+        parse.read(write(text))
+
+    known = str(error.value).partition("known: ")[2].partition(" (")[0].split(", ")
+    assert "energy" in known and len(known) == len(set(known))
+
+
 def test_adaptive_slopes_are_those_of_branches(write):
     adaptive = "slope = { from = 0.01, to = 0.1, adaptive = 1e-3 }"
     text = f'name = "s"\nkind = "orbit"\nwalker = "E"\n[axes]\n{adaptive}\n'
