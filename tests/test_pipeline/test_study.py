@@ -233,7 +233,7 @@ def test_a_wrong_study_is_answered_in_one_helpful_line(write, line, wrong, said)
 
 
 def test_what_would_have_been_known_is_listed_once_each(write):
-    text = 'name = "s"\nwalker = "E"\n[want]\nvariables = ["qqqqqq"]\n'
+    text = 'name = "s"\nwalker = "E"\n[axes]\nslope = [0.01]\n[want]\nvariables = ["qqqqqq"]\n'
 
     with pytest.raises(StudyError) as error:
         parse.read(write(text))
