@@ -40,6 +40,36 @@ def speaks_of_arrays(annotation: ast.expr | None) -> bool:
     )
 
 
+def attributes(text: str) -> set[str]:
+    """Names under `Attributes`."""
+    section = re.search(r"^Attributes\n-+\n(.*?)(?=^\S+\n-{3,}$|\Z)", text, re.S | re.M)
+    heads = re.findall(r"^(\w[\w, ]*?) ?:", section[1], re.M) if section else []
+    return {name.strip() for head in heads for name in head.split(",")}
+
+
+def misnamed(file: Path) -> Iterator[str]:
+    """Names under `Attributes` of dataclasses that have no such attribute, and public
+    fields that are not under it, where there is one.
+    """
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        is_data = isinstance(node, ast.ClassDef) and any(
+            "dataclass" in ast.unparse(decorator) for decorator in node.decorator_list
+        )
+        told = attributes(ast.get_docstring(node) or "") if is_data else set()
+        if not told:
+            continue
+
+        fields = {s.target.id for s in node.body if isinstance(s, ast.AnnAssign)}
+        assigned = {
+            part.attr
+            for part in ast.walk(node)
+            if isinstance(part, ast.Attribute) and isinstance(part.ctx, ast.Store)
+        }
+        public = {name for name in fields if not name.startswith("_")}
+        for name in sorted((told - fields - assigned) | (public - told)):
+            yield f"{file.relative_to(ROOT)}: {node.name}: {name}"
+
+
 def missing(file: Path) -> Iterator[str]:
     """Public functions whose arrays are not named under `Parameters` or `Returns`."""
     for name, node in functions(ast.parse(file.read_text(encoding="utf-8"))):

@@ -211,6 +211,10 @@ def test_arrays_are_named_in_docstrings_of_the_public_face():
     assert not [name for file in docstrings.FACE for name in docstrings.missing(file)]
 
 
+def test_attributes_of_dataclasses_are_documented_by_their_names():
+    assert not [name for file in docstrings.FILES for name in docstrings.misnamed(file)]
+
+
 def test_what_only_its_module_uses_is_private():
     tables = [ROOT / "pyproject.toml", ROOT / "pipeline" / "cli" / "commands.toml"]
     texts = [

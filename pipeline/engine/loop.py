@@ -139,7 +139,7 @@ class Loop:
             return
         job = Job([(work, node)])
         self._running[place.submit(request)] = job
-        if node.chunk is None and node.line is not None:
+        if node.is_of_line:
             self._by_key[node.key] = job
 
     def _record(self, ticket: Ticket, answer: Answer) -> None:
@@ -154,8 +154,7 @@ class Loop:
                 work.copy(of_other, answer)
             else:
                 work.put_back(of_other)
-        is_shared = node.chunk is None and node.line is not None
-        if self._are_several and is_shared and answer.status == "ok":
+        if self._are_several and node.is_of_line and answer.status == "ok":
             self._found.put(node.key, Record(b"", answer.data))
             self._found.trim()
 

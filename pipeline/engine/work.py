@@ -203,7 +203,7 @@ class Work:
 
     def _inputs(self, node: Node) -> Iterator[bytes]:
         """Packed inputs of a node."""
-        if node.line is None and node.chunk is None:
+        if node.is_of_study:
             yield from study_inputs(self.plan, node.task)
             return
         store = self.plan.store

@@ -62,6 +62,16 @@ class Node:
         return len(self.chunk.numbers)
 
     @property
+    def is_of_line(self) -> bool:
+        """Whether it is a task over one line, or one batch of designs."""
+        return self.line is not None and self.chunk is None
+
+    @property
+    def is_of_study(self) -> bool:
+        """Whether it is a task over the whole study."""
+        return self.line is None and self.chunk is None
+
+    @property
     def points(self) -> int:
         """Number of points that it computes."""
         return self.chunk.points if self.chunk else 0

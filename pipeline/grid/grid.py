@@ -101,8 +101,8 @@ class Chunk:
 
     Attributes
     ----------
-    box : tuple of slice
-        Along each dimension of the grid.
+    spans : dict of slice
+        Along each dimension of the grid, by its name.
     numbers : ndarray of int, shape (n,)
         Those of its lines.
     slopes : slice

@@ -409,7 +409,7 @@ class Equations:
         return self.having([condition]).at(X).derivative[-1]
 
 
-def meeting(equations: Equations, X: Coordinates) -> ndarray:
+def meeting_residual(equations: Equations, X: Coordinates) -> ndarray:
     """Return the equations, as many as unknowns, and the determinant that vanishes
     where two points that fulfil them meet.
 
@@ -587,7 +587,7 @@ def correct_on_curve(
     Returns
     -------
     Point
-        Whose `at` is a `System`; not `ok` where there is no such walker.
+        Whose `Z` are X; `at` is a `System`. Not `ok` where there is no such walker.
     """
     m, joint = equations.problem.m, equations.problem.m + equations.problem.phases
     sized = [*range(m), *range(joint, equations.size)]

@@ -60,7 +60,8 @@ class Point:
     ----------
     Z, direction : ndarray, shape (c, n)
         The points and the tangents there, of length one, to the side on which the
-        border's equation grows.
+        border's equation grows. Where keys are free, `Z` are X, all unknowns of
+        `equations.Equations`.
     ok : ndarray of bool, shape (n,)
         Whether Newton converged.
     last_step, rounding : ndarray, shape (n,)
@@ -69,7 +70,8 @@ class Point:
     rows : ndarray, shape (c, n)
         Derivatives of the border's equation.
     at : object
-        The equations there, to first order: at the point or a Newton step away.
+        The equations there, to first order: at the point or a Newton step away, as
+        what corrected it linearises them; `equations.solve` leaves those of the gait.
     """
 
     Z: Coordinates

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from gaitsweep.tasks.branches.equations import meeting, solve
+from gaitsweep.tasks.branches.equations import meeting_residual, solve
 from gaitsweep.tasks.branches.joint import evaluate
 from gaitsweep.tasks.charts.box import Refused, tensor_nodes
 from gaitsweep.tasks.charts.chart import Chart
@@ -325,7 +325,7 @@ class Cut:
         at = np.tile(unit, (len(moved), 1))
         at[:, self.axis] = lanes[-1]
         equations = self.extension.equations(self.problem(at))
-        values = meeting(equations, lanes[:-1])
+        values = meeting_residual(equations, lanes[:-1])
         values = values.reshape(k, len(moved), n)
         by_V = (values[:, 1:] - values[:, :1]) / _DIFFERENCE
         return values[:, 0].T, by_V.transpose(2, 0, 1)

@@ -43,6 +43,7 @@ from gaitsweep.tasks.charts.tuning import Tuning
 from gaitsweep.tasks.contract.kinds import RIVALS
 from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
 from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
+from gaitsweep.tasks.step.sameness import SAME_GAIT, same
 
 #: Lines surveyed along each key, and designs along each key at which the manifolds are
 #: compared.
@@ -68,8 +69,8 @@ _MAX_LINES = 8
 #: Share of the lattice whose designs are left to lines instead of halving the box, as a
 #: single one is.
 _RARE = 0.02
-#: Points closer than this are identical.
-_SAME = 1e-6
+#: Relative difference of the values of a key that are one.
+_SAME_VALUE = 1e-6
 #: Boxes of fewer designs than this are left to lines; most halvings of a box; designs
 #: of a box, for each part of it that is tried, from which on that takes less time than
 #: their lines.
@@ -295,7 +296,9 @@ class _Surveyor:
             ]
             inside = [tuning.inside() for tuning in tunings]
             found = [value for value in inside if value is not None]
-            if len(found) == len(tunings) and np.ptp(found) < _SAME * abs(found[0]):
+            if len(found) == len(tunings) and np.ptp(found) < _SAME_VALUE * abs(
+                found[0]
+            ):
                 raise Refused("tuned walkers inside", axis, found[0])
 
     def survey(self, unit: np.ndarray, shares: Sequence[float] = ()) -> None:
@@ -531,7 +534,7 @@ def _is_same(
     b: Points,
     j: Any,
 ) -> bool:
-    return a.kind[i] == b.kind[j] and bool(np.abs(a.Z[:, i] - b.Z[:, j]).max() < _SAME)
+    return a.kind[i] == b.kind[j] and bool(same(a.Z[:, i], b.Z[:, j], SAME_GAIT))
 
 
 def make(

@@ -29,7 +29,9 @@ class Region:
         Section state, event times and slope; the middle is exact but for the slope, and
         offsets hold zero.
     tangent : list of arb, optional
-        Direction of the line, of which `half` is half the length.
+        Direction of the line.
+    half : arb
+        Half the length of the line.
     """
 
     middle: list[arb]

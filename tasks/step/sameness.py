@@ -4,6 +4,19 @@ Points are compared in similarity coordinates, which are of order one over decad
 slope, by the largest difference of a coordinate; of gaits of several steps, whichever
 is the first (`tasks.step.several_steps.distance`). Whether gaits with error bounds may
 be one is another question (`tasks.gaits.polish.are_same`).
+
+Tolerances of something else stay where they are used:
+
+- places along a branch, apart by rounding: `_TWIN` (`branches.atlas`), `_SAME_PLACE`
+  (`branches.sampling`);
+- ln slopes alone: `_SAME_SLOPE` (`studies.locate_cascade`), `_BESIDE_FOLD`
+  (`branches.locate`), within which two gaits may be one;
+- steps of one gait, to tell it from one of fewer steps: `_LEAST_APART`
+  (`branches.locate`);
+- double multipliers, as accurate as the root of rounding: `_SAME_MULTIPLIER`
+  (`branches.meetings`);
+- points together with their keys, on a curve: `_SAME_TURNING` (`branches.meetings`);
+- event times alone, against a simulated step: `_SAME_TIMES` (`branches.curves`).
 """
 
 from __future__ import annotations
@@ -16,7 +29,8 @@ SAME_GAIT = 1e-6
 #: no more repeats after fewer steps. Beside a flip, two sections that are `a` apart are
 #: solved to some 1e-15/a**2, so that nearer ones are not resolved.
 SOONER = 1e-5
-#: A solved gait and the polynomial of a branch, also a coarse one near a fold.
+#: A solved gait and the polynomial of a branch, also a coarse one near a fold, or the
+#: point to which other iterations led.
 ON_BRANCH = 1e-4
 #: Points that were located from two sides, or in two ways, or but coarsely.
 SAME_POINT = 1e-3

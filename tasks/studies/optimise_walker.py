@@ -21,16 +21,16 @@ from gaitsweep.tasks.measures.levels import measures_at
 from gaitsweep.tasks.measures.programme import SPECIAL, Optimum, Programme
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait
 from gaitsweep.tasks.step.problem import Lanes, Problem
+from gaitsweep.tasks.step.sameness import ON_BRANCH, same
 from gaitsweep.tasks.studies.check_optimum import check
 from gaitsweep.tasks.studies.pose_optimum import SLOPE, Box, Question, candidates
 from gaitsweep.tasks.walkers.walker import NUMBERS, Walker, WalkerError
 
 #: How much a missed constraint counts beside the objective where starts are chosen.
 _MISSED = 10.0
-#: Relative difference of two starts' objectives that is the same optimum; distance of
-#: a gait from the point that iterations found; largest magnitude of multipliers that
-#: is 1, which at a fold is known to half as many digits.
-_SAME, _NEAR, _ON_CIRCLE = 1e-7, 1e-4, 1 + 1e-4
+#: Relative difference of two starts' objectives that is the same optimum; largest
+#: magnitude of multipliers that is 1, which at a fold is known to half as many digits.
+_SAME, _ON_CIRCLE = 1e-7, 1 + 1e-4
 #: Part of the gradient that is not balanced where iterations stopped before an optimum.
 _STATIONARY = 1e-4
 #: Derivatives that are rounding, and distances from an end over the range.
@@ -169,18 +169,18 @@ class _Verification:
     def _locate(self, at_point: Equations) -> bool:
         """Solve for the special point that the gait is; whether there is one."""
         located = solve(at_point, self.Z)
-        is_near = np.abs(located.Z - self.Z).max() < _NEAR
+        is_near = same(located.Z, self.Z, ON_BRANCH)
         self.Z = located.Z
-        return bool(located.ok[0] and is_near)
+        return bool(located.ok[0] and is_near[0])
 
     def _settle(self) -> float:
         """Solve the gait at its slope; its error bound, NaN where it is no step."""
         guess = unmeasured(self.problem, self.Z[:-1], np.exp(self.Z[-1]))
         settled = settle(self.problem, guess)
         is_gait = settled.converged & settled.step & (settled.leg_passes == 1)
-        is_near = np.abs(settled.w - self.Z[:-1]).max() < _NEAR
+        is_near = same(settled.w, self.Z[:-1], ON_BRANCH)
         self.Z = np.vstack([settled.w, self.Z[-1:]])
-        return float(settled.bound[0]) if is_gait[0] and is_near else np.nan
+        return float(settled.bound[0]) if is_gait[0] and is_near[0] else np.nan
 
     def _measured(self, bound: float, slope_bound: float) -> _Verified | str:
         """The gait with its measures; or why it is not wanted."""
