@@ -38,9 +38,16 @@ _NAMES = {
     frozenset({"flip", "neimark_sacker"}): "resonance 1:2",
 }
 _RESONANCES = tuple(name for name in _NAMES.values() if name.startswith("resonance"))
-#: Where heelstrike is tangential the map has no derivative, and no multipliers.
-_WITHOUT_MULTIPLIERS = [
-    {"end_tangential_heelstrike", kind} for kind in ("flip", "neimark_sacker")
+#: Where heelstrike is tangential the map has no derivative, and no multipliers. Where
+#: kneestrike is, the equations' determinant vanishes with its rate, and multipliers are
+#: quotients of two zeros: their limits are finite, but computed there are roundings.
+_WITHOUT_SCALARS = [
+    {end, kind}
+    for end, kinds in (
+        ("end_tangential_heelstrike", ("flip", "neimark_sacker")),
+        ("end_tangential_kneestrike", ("fold", "flip", "neimark_sacker")),
+    )
+    for kind in kinds
 ]
 #: Multiplier that is double at a resonance with a pair on the unit circle.
 _DOUBLE = {"fold": 1.0, "flip": -1.0}
@@ -311,7 +318,7 @@ def meetings(
     curve = _Cubics(points, tangents)
     at = equations.evaluate(curve.at(curve.samples))
     for name, other in others.items():
-        if other.value is own.value or {own.name, name} in _WITHOUT_MULTIPLIERS:
+        if other.value is own.value or {own.name, name} in _WITHOUT_SCALARS:
             continue
 
         def residual(places: ndarray, other: Condition = other) -> ndarray:

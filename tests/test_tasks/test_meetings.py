@@ -3,16 +3,27 @@ a cusp in closed form.
 """
 
 import types
+from functools import partial
 
 import numpy as np
 import pytest
 
 from gaitsweep.tasks.branches import meetings
-from gaitsweep.tasks.branches.equations import System
+from gaitsweep.tasks.branches.atlas import survey
+from gaitsweep.tasks.branches.conditions import CONDITIONS
+from gaitsweep.tasks.branches.curves import across_last
+from gaitsweep.tasks.branches.equations import (
+    Equations,
+    Keys,
+    System,
+    correct_on_curve,
+)
 from gaitsweep.tasks.branches.meetings import turnings
+from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.studies.follow_curves import curve
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
 from lines import _atlas
+from soak.stress import random_walker
 
 
 def curves_of(walker, ends, kinds, slopes, **keys):
@@ -143,6 +154,34 @@ def test_curves_of_folds_and_of_complex_pairs_have_the_resonance():
     ]
     assert found["curves/value"][of_pairs][0] == pair[1]
     assert (found["curves/value"][of_pairs][1:] > pair[1]).all()
+
+
+def at_tangential_kneestrike():
+    """A walker, and the end of a branch of its gaits at which kneestrike is tangential:
+    unknowns Z.
+    """
+    kind = "end_tangential_kneestrike"
+    walker = random_walker("kneed, near", 336)
+    (branch,) = [each for each in survey(Problem(walker)) if kind in each.why]
+    return walker, branch.Z[:, -branch.why.index(kind)]
+
+
+@pytest.mark.thorough
+def test_tangential_kneestrikes_meet_neither_folds_nor_flips_by_rounding():
+    """Determinants vanish all along the curve: folds were met at every second sample."""
+    walker, Z = at_tangential_kneestrike()
+    ends = 0.995 * walker.c_t, 1.005 * walker.c_t
+    keys = Keys.of_one("c_t", partial(walker.having, "c_t"), *ends)
+    kind = "end_tangential_kneestrike"
+    curve = Equations(keys, [CONDITIONS[kind]])
+    guess = np.append(Z, walker.c_t / keys.scale)[:, None]
+    first = correct_on_curve(curve, guess, across_last(len(guess)))
+    window = np.array([[-9.0, 0.0], ends / keys.scale])
+
+    found = meetings.followed(curve, kind, first, window, meetings.met({}, True))
+
+    assert len(found.points) > 5 and found.stopped == ("border", "border")
+    assert not found.meetings
 
 
 def unknown_near(x, at):
