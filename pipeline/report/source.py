@@ -116,7 +116,7 @@ class Line:
             frame = pd.DataFrame({"slope": slopes[row]})
             for name in names:
                 frame[name] = np.where(has, data[name].values[row, column], np.nan)
-            frame["stable"] = _stable(frame)
+            frame["stable"] = stable(frame)
             frame["gait"] = np.where(has, labels[column], "")
             frame["branch"] = number
             frame["piece"] = part
@@ -134,8 +134,10 @@ class Line:
         return branch, piece
 
 
-def _stable(frame: pd.DataFrame) -> np.ndarray:
-    """1 where a gait is stable, 0 where it is not, NaN where its radius is unknown."""
+def stable(frame: pd.DataFrame) -> np.ndarray:
+    """Return 1 where a gait is stable, 0 where it is not, NaN where its radius is
+    unknown.
+    """
     if "spectral_radius" not in frame:
         return np.full(len(frame), np.nan)
     radius = frame["spectral_radius"].to_numpy()

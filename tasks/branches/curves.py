@@ -275,8 +275,8 @@ def turning(
     b: OnCurve,
     component: int,
 ) -> tuple[ndarray, float] | None:
-    """Locate where a component of the curve's tangent vanishes between two points; None
-    where it keeps its sign.
+    """Locate where a component of the curve's tangent vanishes between two points or at
+    one of them; None where it keeps its sign.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def turning(
     """
     at_a = a[1][component]
     at_b = b[1][component]
-    if at_a * at_b >= 0:
+    if at_a * at_b > 0 or at_a == at_b:
         return None
     length = float(np.linalg.norm(b[0] - a[0]))
     chord = ((b[0] - a[0]) / length)[:, None]

@@ -11,7 +11,7 @@ points of a curve.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,8 +23,9 @@ from gaitsweep.tasks.branches.curves import follow_both_directions, turning, wal
 from gaitsweep.tasks.branches.equations import Equations, errors, solve
 from gaitsweep.tasks.branches.pseudo_arclength import CLOSED, Point
 from gaitsweep.tasks.branches.root import hermite
-from gaitsweep.tasks.mechanics.arrays import Gait
+from gaitsweep.tasks.mechanics.arrays import Gait, Numbers
 from gaitsweep.tasks.step.problem import EPS
+from gaitsweep.tasks.step.sameness import SAME_GAIT, same
 
 CUSP = "cusp"
 #: Conditions that every curve may meet, besides those that a study follows.
@@ -37,17 +38,27 @@ _NAMES = {
     frozenset({"flip", "neimark_sacker"}): "resonance 1:2",
 }
 _RESONANCES = tuple(name for name in _NAMES.values() if name.startswith("resonance"))
-#: Where heelstrike is tangential the map has no derivative, and no multipliers.
-_WITHOUT_MULTIPLIERS = [
-    {"end_tangential_heelstrike", kind} for kind in ("flip", "neimark_sacker")
+#: Where heelstrike is tangential the map has no derivative, and no multipliers. Where
+#: kneestrike is, the equations' determinant vanishes with its rate, and multipliers are
+#: quotients of two zeros: their limits are finite, but computed there are roundings.
+_WITHOUT_SCALARS = [
+    {end, kind}
+    for end, kinds in (
+        ("end_tangential_heelstrike", ("flip", "neimark_sacker")),
+        ("end_tangential_kneestrike", ("fold", "flip", "neimark_sacker")),
+    )
+    for kind in kinds
 ]
 #: Multiplier that is double at a resonance with a pair on the unit circle.
 _DOUBLE = {"fold": 1.0, "flip": -1.0}
 #: How nearly a double multiplier is computed: the root of its rounding, and of the error
 #: of what is located.
 _SAME_MULTIPLIER = 1e-4
-#: Parts of a segment of a curve in which a change of sign is looked for.
-_PARTS = 4
+#: Parts of a segment of a curve in which a change of sign is looked for, and how often
+#: samples are added where a scalar is nearest to zero without one.
+_PARTS, _REFINEMENTS = 4, 3
+#: Least distance of a sample that is added from others, over the segment.
+_APART = 1e-6
 #: Distance from the change of sign within which the point lies, over the segment; and
 #: that of the turnings of slope and key at a cusp, over a range.
 _NEAR, _SAME_TURNING = 1.0, 1e-6
@@ -239,11 +250,13 @@ def turnings(
         Of the curve, with one condition.
     points, tangents : ndarray, shape (p, u)
     """
+    along = list(zip(points, tangents, strict=True))
+    is_closed = np.array_equal(points[0], points[-1])
     turned = []
     for component in (-1, -2):
-        along = itertools.pairwise(zip(points, tangents, strict=True))
-        for segment, (a, b) in enumerate(along):
-            found = turning(equations, a, b, component)
+        signs = _signs(tangents[:, component], is_closed)
+        for segment in np.flatnonzero(signs[1:] * signs[:-1] < 0).tolist():
+            found = turning(equations, along[segment], along[segment + 1], component)
             if found is not None:
                 turned.append(Turning(segment, component, *found))
 
@@ -253,12 +266,20 @@ def turnings(
     at_once = [
         (one, other)
         for one, other in itertools.combinations(turned, 2)
-        if one.segment == other.segment
-        and np.linalg.norm(one.X - other.X) <= _SAME_TURNING
+        if np.linalg.norm(one.X - other.X) <= _SAME_TURNING
     ]
     both = {id(each) for pair in at_once for each in pair}
     alone = [each for each in turned if id(each) not in both]
     return alone, [_cusp(*pair) for pair in at_once]
+
+
+def _signs(rates: ndarray, is_closed: bool) -> ndarray:
+    """Signs of rates (p,) along a curve; those of zeros are the signs before."""
+    signs = np.sign(rates)
+    others = signs[signs != 0]
+    before = others[-1] if is_closed and len(others) else 0.0
+    kept = itertools.accumulate(signs, lambda last, sign: sign or last, initial=before)
+    return np.array([*kept][1:])
 
 
 def _cusp(of_last: Turning, of_other: Turning) -> Meeting:
@@ -294,38 +315,101 @@ def meetings(
     Two roads: the other condition's curve has the same point.
     """
     (own,) = equations.conditions
-    samples, lengths = _between(points, tangents)
-    at = equations.evaluate(samples)
+    curve = _Cubics(points, tangents)
+    at = equations.evaluate(curve.at(curve.samples))
     for name, other in others.items():
-        if other.value is own.value or {own.name, name} in _WITHOUT_MULTIPLIERS:
+        if other.value is own.value or {own.name, name} in _WITHOUT_SCALARS:
             continue
-        off = other.residual(at)
+
+        def residual(places: ndarray, other: Condition = other) -> ndarray:
+            return other.residual(equations.evaluate(curve.at(places)))
+
         both = equations.having([own, other])
-        for k in np.flatnonzero(off[1:] * off[:-1] < 0).tolist():
-            share = off[k] / (off[k] - off[k + 1])
-            guess = samples[:, k] + share * (samples[:, k + 1] - samples[:, k])
-            segment = k // _PARTS
-            found = _solved(both, guess, lengths[segment])
-            if found is not None:
-                named = _name((kind, name), both, found)
-                if named:
-                    error = errors(both, found, 2)
-                    yield Meeting(named, name, found, error, segment)
+        solved: list[Gait] = []
+        for place in _roots(curve.samples, other.residual(at), residual):
+            segment = curve.segment(place)
+            found = _solved(both, curve.at(place), curve.lengths[segment])
+            if found is None or any(same(found, X, SAME_GAIT) for X in solved):
+                continue
+            solved.append(found)
+            named = _name((kind, name), both, found)
+            if named:
+                error = errors(both, found, 2)
+                yield Meeting(named, name, found, error, int(segment))
 
 
-def _between(points: ndarray, tangents: ndarray) -> tuple[ndarray, ndarray]:
-    """Points (u, 4 (p - 1) + 1) along a curve, and the lengths (p - 1,) of its
-    segments.
+class _Cubics:
+    """Cubics through the points (p, u) of a curve; places on it count segments from its
+    first point.
     """
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    along = list(zip(points, tangents, strict=True))
-    shares = np.arange(_PARTS) / _PARTS
-    samples = [
-        hermite(a, b, length, share)
-        for (a, b), length in zip(itertools.pairwise(along), lengths, strict=True)
-        for share in shares
-    ]
-    return np.array([*samples, points[-1]]).T, lengths
+
+    def __init__(self, points: ndarray, tangents: ndarray):
+        self.points, self.tangents = points, tangents
+        self.lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        last = len(self.lengths)
+        #: Places at which scalars are sampled.
+        self.samples = np.linspace(0.0, last, _PARTS * last + 1)
+
+    def segment(self, place: ndarray) -> Numbers:
+        """Numbers of the segments in which places lie."""
+        return np.minimum(place.astype(int), len(self.lengths) - 1)
+
+    def at(self, place: ndarray) -> ndarray:
+        """Points (u, ...) at places (...)."""
+        k = self.segment(place)
+        a = self.points[k].T, self.tangents[k].T
+        b = self.points[k + 1].T, self.tangents[k + 1].T
+        return hermite(a, b, self.lengths[k], place - k)
+
+
+def _roots(
+    places: ndarray, off: ndarray, residual: Callable[[ndarray], ndarray]
+) -> ndarray:
+    """Where a scalar vanishes along a curve, nearly: between known values `off` (n,) at
+    places (n,) that differ in sign or are zero.
+
+    Where the scalar is unknown its neighbours are compared. Two roots between neighbours
+    of one sign show in the parabolas through three of them, whose nearest points to zero
+    are sampled as well.
+    """
+    for _ in range(_REFINEMENTS):
+        is_known = np.isfinite(off)
+        places, off = places[is_known], off[is_known]
+        nearest = _nearest_to_zero(places, off)
+        gaps = np.abs(nearest[:, None] - places).min(axis=1, initial=np.inf)
+        nearest = np.unique(nearest[gaps > _APART])
+        if not len(nearest):
+            break
+        places = np.append(places, nearest)
+        off = np.append(off, residual(nearest))
+        order = np.argsort(places)
+        places, off = places[order], off[order]
+
+    is_known = np.isfinite(off)
+    places, off = places[is_known], off[is_known]
+    apart = off[:-1] - off[1:]
+    k = np.flatnonzero((np.sign(off[1:]) * np.sign(off[:-1]) <= 0) & (apart != 0))
+    share = off[k] / apart[k]
+    # A sample that is zero ends two brackets.
+    return np.unique(places[k] + share * np.diff(places)[k])
+
+
+def _nearest_to_zero(x: ndarray, off: ndarray) -> ndarray:
+    """Where parabolas through three neighbouring values of one sign are nearest to zero,
+    if it is between them.
+    """
+    if len(x) < 3:
+        return x[:0]
+    rise = np.diff(off) / np.diff(x)
+    bend = np.diff(rise) / (x[2:] - x[:-2])
+    middle = 0.5 * (x[:-2] + x[1:-1])
+    signs = np.sign(off)
+    is_one_sign = (signs[:-2] == signs[1:-1]) & (signs[1:-1] == signs[2:])
+    opens = is_one_sign & (bend * off[1:-1] > 0)
+
+    lowest = middle[opens] - 0.5 * rise[:-1][opens] / bend[opens]
+    is_between = (lowest > x[:-2][opens]) & (lowest < x[2:][opens])
+    return np.asarray(lowest[is_between])
 
 
 def _solved(both: Equations, guess: Gait, length: float) -> Gait | None:

@@ -18,6 +18,7 @@ from gaitsweep.pipeline.report.figures import (
     draw,
     fields,
     landmarks,
+    over_key,
     slices,
 )
 from gaitsweep.pipeline.report.figures.body import Body
@@ -1277,6 +1278,21 @@ def test_no_line_over_a_key_joins_curves_between_which_a_label_passes():
     assert goes_on.tolist() == [[True, True], [True, False], [True, True], [False] * 2]
     across = continued.goes_on(angle.transpose(), "push_off").reshape(2, 4)
     assert (across == goes_on.T).all()
+
+
+def test_gaits_over_a_key_are_of_unknown_stability_where_their_radius_is():
+    """They counted as unstable ones."""
+    radius = xr.DataArray(
+        [[0.5], [np.nan], [1.5]],
+        {"push_off": [0.1, 0.2, 0.3], "gait": ["long"]},
+        dims=("push_off", "gait"),
+    )
+    here = xr.Dataset({"spectral_radius": radius, "stance_angle": 0 * radius + 0.2})
+    here = here.assign_coords(slope=0.0)
+
+    rows = over_key._rows(here, "push_off")
+
+    assert rows["stable"].tolist() == pytest.approx([1.0, np.nan, 0.0], nan_ok=True)
 
 
 def test_lines_side_by_side_go_on_where_values_are_few():

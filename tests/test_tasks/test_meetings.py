@@ -3,15 +3,27 @@ a cusp in closed form.
 """
 
 import types
+from functools import partial
 
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.branches.equations import System
+from gaitsweep.tasks.branches import meetings
+from gaitsweep.tasks.branches.atlas import survey
+from gaitsweep.tasks.branches.conditions import CONDITIONS
+from gaitsweep.tasks.branches.curves import across_last
+from gaitsweep.tasks.branches.equations import (
+    Equations,
+    Keys,
+    System,
+    correct_on_curve,
+)
 from gaitsweep.tasks.branches.meetings import turnings
+from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.studies.follow_curves import curve
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
 from lines import _atlas
+from soak.stress import random_walker
 
 
 def curves_of(walker, ends, kinds, slopes, **keys):
@@ -144,6 +156,84 @@ def test_curves_of_folds_and_of_complex_pairs_have_the_resonance():
     assert (found["curves/value"][of_pairs][1:] > pair[1]).all()
 
 
+def at_tangential_kneestrike():
+    """A walker, and the end of a branch of its gaits at which kneestrike is tangential:
+    unknowns Z.
+    """
+    kind = "end_tangential_kneestrike"
+    walker = random_walker("kneed, near", 336)
+    (branch,) = [each for each in survey(Problem(walker)) if kind in each.why]
+    return walker, branch.Z[:, -branch.why.index(kind)]
+
+
+@pytest.mark.thorough
+def test_tangential_kneestrikes_meet_neither_folds_nor_flips_by_rounding():
+    """Determinants vanish all along the curve: folds were met at every second sample."""
+    walker, Z = at_tangential_kneestrike()
+    ends = 0.995 * walker.c_t, 1.005 * walker.c_t
+    keys = Keys.of_one("c_t", partial(walker.having, "c_t"), *ends)
+    kind = "end_tangential_kneestrike"
+    curve = Equations(keys, [CONDITIONS[kind]])
+    guess = np.append(Z, walker.c_t / keys.scale)[:, None]
+    first = correct_on_curve(curve, guess, across_last(len(guess)))
+    window = np.array([[-9.0, 0.0], ends / keys.scale])
+
+    found = meetings.followed(curve, kind, first, window, meetings.met({}, True))
+
+    assert len(found.points) > 5 and found.stopped == ("border", "border")
+    assert not found.meetings
+
+
+def unknown_near(x, at):
+    """1, and NaN at the sample at a place."""
+    return np.where(np.isclose(x, at), np.nan, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("scalar", "roots"),
+    [
+        (lambda x: x - 0.3, [0.3]),
+        # At a sample, at a point, and at both ends.
+        (lambda x: x - 0.25, [0.25]),
+        (lambda x: x - 1.0, [1.0]),
+        (lambda x: x * (x - 3.0), [0.0, 3.0]),
+        # Beside samples that have no value.
+        (lambda x: (x - 1.1) * unknown_near(x, 1.25), [1.1]),
+        (lambda x: (x - 1.1) * unknown_near(x, 1.0), [1.1]),
+        # Two between neighbouring samples, inside and beside an end.
+        (lambda x: (x - 1.3) * (x - 1.45), [1.3, 1.45]),
+        (lambda x: (x - 1.37) * (x - 1.38) * np.exp(x), [1.37, 1.38]),
+        (lambda x: (x - 0.05) * (x - 0.2), [0.05, 0.2]),
+        # None: a pair of complex roots, a constant, and what vanishes everywhere.
+        (lambda x: (x - 1.3) ** 2 + 0.01, []),
+        (lambda x: 0 * x + 1, []),
+        (lambda x: 0 * x, []),
+        (lambda x: np.nan * x, []),
+    ],
+)
+def test_a_curve_meets_a_condition_wherever_its_scalar_vanishes(
+    monkeypatch, scalar, roots
+):
+    """Of a straight curve of three segments, on which points are what is guessed."""
+    points = np.array([[0.0, k] for k in range(4)])
+    tangents = np.tile([0.0, 1.0], (4, 1))
+    curve = types.SimpleNamespace(
+        conditions=(types.SimpleNamespace(name="own", value=None),),
+        evaluate=lambda X: X[-1],
+        having=lambda conditions: None,
+    )
+    other = types.SimpleNamespace(value=scalar, residual=scalar)
+    monkeypatch.setattr(meetings, "_solved", lambda both, guess, length: guess)
+    monkeypatch.setattr(meetings, "errors", lambda both, X, n: np.zeros(n))
+
+    found = list(meetings.meetings(curve, points, tangents, "own", {"other": other}))
+
+    # Guesses are linear between samples.
+    places = [each.X[-1] for each in found]
+    assert places == pytest.approx(roots, abs=0.05)
+    assert [each.segment for each in found] == [min(int(x), 2) for x in roots]
+
+
 #: Slope of the cusp below, and how it moves with the key.
 SLOPE, TILT = -3.0, 0.5
 
@@ -169,15 +259,27 @@ class Cubic:
         return System(X, np.array([off, by_x]), by_X, None)
 
 
-def test_a_cusp_is_where_a_curve_of_folds_turns_in_slope_and_key():
+@pytest.mark.parametrize(
+    ("first", "node"),
+    [
+        pytest.param(-0.7, None, id="between points"),
+        pytest.param(-0.75, (0.0, 0.0), id="at a point"),
+        # By rounding the slope turns before the point and the key beyond it.
+        pytest.param(-0.75, (-1e-16, 1e-16), id="on both sides of a point"),
+        pytest.param(-0.75, (0.0, 1e-16), id="at a point and beyond it"),
+    ],
+)
+def test_a_cusp_is_where_a_curve_of_folds_turns_in_slope_and_key(first, node):
     # At x = -TILT the slope turns alone.
-    x = np.linspace(-0.7, 0.24, 14)
+    x = np.linspace(first, 0.25, 9 if node else 14)
     key = -3 * x**2
     slope = SLOPE + x**3 + key * x + TILT * key
     slope_by_x = -6 * x**2 - 6 * x * TILT
     points = np.array([x, slope, key]).T
     tangents = np.array([0 * x + 1, slope_by_x, -6 * x]).T
     tangents /= np.linalg.norm(tangents, axis=1)[:, None]
+    if node:
+        tangents[np.abs(x).argmin(), 1:] = node
 
     turned, (cusp,) = turnings(Cubic(), points, tangents)
 

@@ -14,7 +14,7 @@ from gaitsweep.pipeline.report.figures.continued import goes_on, parts
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.stability import TESTS, tests
 from gaitsweep.pipeline.report.figures.style import MOST_COLOURS, draw_gait, inks
-from gaitsweep.pipeline.report.source import Source
+from gaitsweep.pipeline.report.source import Source, stable
 from gaitsweep.pipeline.report.words import axis_values, symbol, with_unit
 
 #: Variables under the pointer, beside the key and what is drawn.
@@ -133,7 +133,7 @@ def _rows(here: xr.Dataset, key: str) -> pd.DataFrame:
     whole = told.assign(tests(here))
     rows = whole.to_dataframe().reset_index()
 
-    rows["stable"] = np.where(rows["spectral_radius"] < 1, 1.0, 0.0)
+    rows["stable"] = stable(rows)
     rows["goes_on"] = goes_on(here["stance_angle"], key)
     drawn = [name for name in _UNTOLD if name in rows]
 
