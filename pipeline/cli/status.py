@@ -12,7 +12,7 @@ from gaitsweep.pipeline.cli import kinds, studies
 from gaitsweep.pipeline.cli.errors import gravest, say
 from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.engine import locks
-from gaitsweep.pipeline.engine.progress import last_state, sentence
+from gaitsweep.pipeline.engine.progress import last_state, sentence, stages
 from gaitsweep.pipeline.errors import GaitsweepError, unwritten
 from gaitsweep.pipeline.terminal import PAUSE, counted, duration, processor_time
 
@@ -89,7 +89,8 @@ def _write_page(
     """Write the page of some runs once."""
     states = {path: state_of(path) for path in archives}
     said = {path: list(_lines(path, state)) for path, state in states.items()}
-    text = drawn.text(states, said, refresh)
+    of_runs = {path: stages(state or {}) for path, state in states.items()}
+    text = drawn.text(of_runs, said, refresh)
     try:
         paths.publish(page, text.encode())
     except OSError as error:

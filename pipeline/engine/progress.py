@@ -27,7 +27,7 @@ _SUMMED = ("points", "cached", "done", "todo", "rate", "eta")
 #: Time for which a remote worker that answered counts as there [s].
 _ANSWERED = 60.0
 #: What users read of tasks that no study names.
-STAGES = {"atlas": "searches"}
+_STAGES = {"atlas": "searches"}
 
 
 class Progress(Listener):
@@ -211,6 +211,20 @@ def _format(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
+def stages(state: dict[str, Any]) -> list[tuple[str, int, int, float]]:
+    """Name of each stage of a run as users read it, how many of how many are done, and
+    the time to go [s]; none where its record is of another version.
+    """
+    found = []
+    try:
+        for name, stage in state["stages"].items():
+            done, todo = int(stage["done"]), int(stage["todo"])
+            found.append((_STAGES.get(name, name), done, todo, float(stage["eta"])))
+    except (LookupError, TypeError, ValueError, AttributeError):
+        return []
+    return found
+
+
 def sentence(state: dict[str, Any]) -> str:
     """State of a run in one line."""
     failed = {k: n for k, n in state["counts"].items() if k not in ANSWERS}
@@ -222,7 +236,7 @@ def sentence(state: dict[str, Any]) -> str:
         )
         parts.append(f"{state['rate']:,.0f} a second")
     parts += [
-        f"{STAGES.get(name, name)} {stage['done']:,} of {stage['todo']:,}"
+        f"{_STAGES.get(name, name)} {stage['done']:,} of {stage['todo']:,}"
         for name, stage in state["stages"].items()
         if name != "points"
     ]

@@ -3,7 +3,7 @@ figures of what each run has published.
 """
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.pipeline.archive import read as archives
-from gaitsweep.pipeline.engine.progress import STAGES
 from gaitsweep.pipeline.errors import GaitsweepError
 from gaitsweep.pipeline.report import html_tables
 from gaitsweep.pipeline.report.figures.svg import Drawing
@@ -73,7 +72,7 @@ class ProgressPage:
 
     def text(
         self,
-        states: Mapping[Path, dict[str, Any] | None],
+        stages: Mapping[Path, Sequence[tuple[str, int, int, float]]],
         said: Mapping[Path, list[str]],
         refresh: int = 0,
     ) -> str:
@@ -81,8 +80,9 @@ class ProgressPage:
 
         Parameters
         ----------
-        states : mapping
-            State of the run of each archive, as `status` has it; None without a record.
+        stages : mapping
+            Of the run of each archive: name of each stage, how many of how many are
+            done, and the time to go [s].
         said : mapping
             Sentences on each of them.
         refresh : int [s]
@@ -90,7 +90,7 @@ class ProgressPage:
         """
         room = _MAX_FIGURES
         runs = []
-        for path, state in states.items():
+        for path, of_run in stages.items():
             _, published = self._published.get(path, (0, Published()))
             figures = []
             for figure in published.figures:
@@ -101,7 +101,7 @@ class ProgressPage:
                 {
                     "path": path,
                     "said": said[path],
-                    "stages": _stages(state or {}),
+                    "stages": [_stage(*stage) for stage in of_run],
                     "published": replace(published, figures=figures),
                 }
             )
@@ -159,17 +159,6 @@ def _lines(source: Source) -> list[tuple[str, int, int]]:
     return lines
 
 
-def _stages(state: Mapping[str, Any]) -> list[Stage]:
-    """The stages of a run; none where its record is of another version."""
-    try:
-        return [
-            Stage(
-                spaced(STAGES.get(name, name)),
-                int(stage["done"]),
-                int(stage["todo"]),
-                duration(float(stage["eta"])),
-            )
-            for name, stage in state.get("stages", {}).items()
-        ]
-    except (LookupError, TypeError, ValueError, AttributeError):
-        return []
+def _stage(name: str, done: int, todo: int, left: float) -> Stage:
+    """A stage in words."""
+    return Stage(spaced(name), done, todo, duration(left))
