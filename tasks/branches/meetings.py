@@ -368,30 +368,44 @@ def _roots(
     """Where a scalar vanishes along a curve, nearly: between known values `off` (n,) at
     places (n,) that differ in sign or are zero.
 
-    Where the scalar is unknown its neighbours are compared. Two roots between neighbours
-    of one sign show in the parabolas through three of them, whose nearest points to zero
-    are sampled as well.
+    Where the scalar is unknown its neighbours are compared.
     """
-    for _ in range(_REFINEMENTS):
-        is_known = np.isfinite(off)
-        places, off = places[is_known], off[is_known]
-        nearest = _nearest_to_zero(places, off)
-        gaps = np.abs(nearest[:, None] - places).min(axis=1, initial=np.inf)
-        nearest = np.unique(nearest[gaps > _APART])
-        if not len(nearest):
-            break
-        places = np.append(places, nearest)
-        off = np.append(off, residual(nearest))
-        order = np.argsort(places)
-        places, off = places[order], off[order]
-
-    is_known = np.isfinite(off)
-    places, off = places[is_known], off[is_known]
+    places, off = _refined(places, off, residual)
     apart = off[:-1] - off[1:]
     k = np.flatnonzero((np.sign(off[1:]) * np.sign(off[:-1]) <= 0) & (apart != 0))
     share = off[k] / apart[k]
     # A sample that is zero ends two brackets.
     return np.unique(places[k] + share * np.diff(places)[k])
+
+
+def _refined(
+    places: ndarray, off: ndarray, residual: Callable[[ndarray], ndarray]
+) -> tuple[ndarray, ndarray]:
+    """Places at which a scalar is known, and its values, with more of both where it may
+    have two roots between neighbours of one sign.
+
+    These show in the parabolas through three neighbours, whose nearest points to zero
+    are sampled.
+    """
+    places, off = _known(places, off)
+    for _ in range(_REFINEMENTS):
+        nearest = _nearest_to_zero(places, off)
+        gaps = np.abs(nearest[:, None] - places).min(axis=1, initial=np.inf)
+        nearest = np.unique(nearest[gaps > _APART])
+        if not len(nearest):
+            break
+
+        places = np.append(places, nearest)
+        off = np.append(off, residual(nearest))
+        order = np.argsort(places)
+        places, off = _known(places[order], off[order])
+    return places, off
+
+
+def _known(places: ndarray, off: ndarray) -> tuple[ndarray, ndarray]:
+    """Places at which a scalar is known, and its values."""
+    is_known = np.isfinite(off)
+    return places[is_known], off[is_known]
 
 
 def _nearest_to_zero(x: ndarray, off: ndarray) -> ndarray:
