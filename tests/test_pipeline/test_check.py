@@ -254,6 +254,12 @@ def test_a_gait_of_another_walker_is_told():
     assert (row["verdict"], row["walker"]) == ("walker", "B")
 
 
+def test_a_gait_of_two_steps_of_another_walker_is_told():
+    row = judged([gait_of("D", 0.0165, steps=2)], "B", 0.0165, steps=2)
+
+    assert (row["verdict"], row["walker"]) == ("walker", "D")
+
+
 def test_digits_that_were_cut_are_told_apart_from_a_table_of_few(compass):
     exact = gait_of(compass, SLOPE)
     cut = np.round(exact, 4)
