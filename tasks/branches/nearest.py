@@ -20,6 +20,7 @@ from gaitsweep.tasks.mechanics.arrays import LogSlopes, PerLane, Sections, Unkno
 from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.step.iterate import Ended, iterate
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.several_steps import begun_at, from_largest
 
 #: Newton steps from the polynomial of a branch; nearly all take two.
 _MAX_STEPS = 8
@@ -59,6 +60,8 @@ class Gaits:
         How often the legs pass; 1 unless said otherwise.
     place : ndarray of int, shape (n,)
         Label, as `tasks.gaits.labels.places` has it; -1 of none.
+    steps : ndarray of int, shape (n,)
+        After how many steps they repeat; 1 of none.
     """
 
     state: np.ndarray
@@ -67,6 +70,7 @@ class Gaits:
     ratio: PerLane
     passes: PerLane
     place: np.ndarray
+    steps: np.ndarray
 
     @classmethod
     def none(cls, n: int) -> Gaits:
@@ -79,6 +83,7 @@ class Gaits:
             ratio=nan.copy(),
             passes=nan.copy(),
             place=np.full(n, -1),
+            steps=np.ones(n, int),
         )
 
     def put(self, lanes: np.ndarray, gaits: Gaits) -> None:
@@ -110,22 +115,24 @@ def described(problem: Problem, w: Unknowns, log_slope: LogSlopes) -> Gaits:
     radius = np.abs(values).max(axis=1)
     ratio = gait_ratio(stride)
     place = np.where(ratio < LONG_BELOW, 0, 1)
-    return Gaits(state, before, radius, ratio, np.ones(n), place)
+    steps = np.full(n, problem.steps)
+    return Gaits(state, before, radius, ratio, np.ones(n), place, steps)
 
 
 def gaits_at(
     problem: Problem, branches: Sequence[Branch], slope: np.ndarray
 ) -> list[Gaits]:
-    """Return a line's gaits at given slopes, one set for each piece of a branch.
+    """Return a line's gaits at given slopes, one set for each piece of a branch and each
+    of the steps at which a gait may begin.
 
     Parameters
     ----------
     problem : Problem
     branches : sequence of Branch
-        The line's atlas.
+        The line's atlas, or its branches of gaits of the problem's steps.
     slope : ndarray, shape (n,) [rad]
     """
-    found = []
+    found: list[list[Gaits]] = []
     q = np.log(slope)
     for branch in branches:
         for index, Z, segment in branch.guesses(q):
@@ -136,53 +143,75 @@ def gaits_at(
                 max_iterations=_MAX_STEPS,
             )
             lanes = index[converged]
-            gaits = Gaits.none(len(slope))
-            gaits.put(lanes, described(problem, w[:, converged], q[lanes]))
-            gaits.passes[lanes] = branch.leg_passes[segment[converged]]
-            found.append(gaits)
-    if not found:
-        return found
+            passes = branch.leg_passes[segment[converged]]
+            begun = []
+            for w_begun in _begun(problem, w[:, converged]):
+                gaits = Gaits.none(len(slope))
+                gaits.put(lanes, described(problem, w_begun, q[lanes]))
+                gaits.passes[lanes] = passes
 
-    angle = np.array([gaits.state[0] for gaits in found])
-    passes = np.array([gaits.passes for gaits in found])
-    ratio = np.array([gaits.ratio for gaits in found])
+                begun.append(gaits)
+            found.append(begun)
+    _label(found)
+    return [gaits for begun in found for gaits in begun]
+
+
+def _begun(problem: Problem, w: Unknowns) -> Iterator[Unknowns]:
+    """Yield the same gaits begun at each of their steps, first at that with the largest
+    stance angle.
+    """
+    w = from_largest(w, problem.m, problem.steps)
+    for first in range(problem.steps):
+        yield begun_at(w, problem.m, problem.steps, first)
+
+
+def _label(found: Sequence[list[Gaits]]) -> None:
+    """Give gaits, each begun at all of its steps, their labels among all of a slope."""
+    if not found:
+        return
+    largest = [begun[0] for begun in found]
+    angle = np.array([gaits.state[0] for gaits in largest])
+    passes = np.array([gaits.passes for gaits in largest])
+    ratio = np.array([gaits.ratio for gaits in largest])
     labels = places(np.where(passes == 1, angle, np.nan), ratio)
-    for gaits, place in zip(found, labels, strict=True):
-        gaits.place = place
-    return found
+    for begun, place in zip(found, labels, strict=True):
+        for gaits in begun:
+            gaits.place = place
 
 
 def nearest_on_branches(
     problem: Problem, branches: Sequence[Branch], y: Sections, within: PerLane
 ) -> list[tuple[PerLane, Gaits, np.ndarray]]:
-    """Return the gaits of every branch that lie nearest to given sections, the drives at
-    which they are, and how they change with these.
+    """Return the gaits of every branch, begun at each of their steps, that lie nearest to
+    given sections, the drives at which they are, and how they change with these.
 
     Parameters
     ----------
     problem : Problem
     branches : sequence of Branch
-        The line's atlas.
+        The line's atlas, or its branches of gaits of the problem's steps.
     y : ndarray, shape (m, n) [rad, rad/sqrt(leg/g)]
+        Of one step.
     within : ndarray, shape (n,)
         Relative distance beyond which a gait is of no interest.
 
     Returns
     -------
     list of (drive, gaits, changes)
-        For each branch; NaN where none is so near. The drive is the slope as the problem
+        For each branch and first step; NaN where none is so near. The drive is the slope as the problem
         counts it, and `changes` (3, n) of the states are by its ln, to some ten digits.
     """
     target = np.vstack([np.log(y[:1]), y[1:] / y[0]])
     found = []
-    for branch in branches:
-        points, near = _nearest_points(branch, target, within)
+    for along_branch in _points_begun(problem, branches):
+        points, near = _nearest_points(along_branch, target, within)
         some = problem.some(near)
         along = _Along(some, target[:, near], points[:, near], within[near])
         ended = iterate(along, len(near), _MAX_STEPS_ALONG)
-        reached = np.flatnonzero(ended == Ended.CONVERGED)
 
+        reached = np.flatnonzero(ended == Ended.CONVERGED)
         lanes = near[reached]
+
         drive = np.full(y.shape[1], np.nan)
         gaits = Gaits.none(y.shape[1])
         w = along.Z[:-1, reached]
@@ -196,13 +225,12 @@ def nearest_on_branches(
 
 
 def _nearest_points(
-    branch: Branch, target: np.ndarray, within: PerLane
+    points: np.ndarray, target: np.ndarray, within: PerLane
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points (m + phases + 1, n) of a branch's polynomials nearest to sections (m, n) in
-    similarity coordinates, and the numbers of the sections that may be of interest.
+    """Of points (m + phases + 1, k) along a branch those nearest to sections of one step
+    in similarity coordinates, and the numbers of the sections that may be of interest.
     """
     m = len(target)
-    points = np.hstack([*between_nodes(branch)])
     apart = np.abs(np.diff(points[:m], axis=1)).max(axis=0)
     after = np.append(apart, 0.0)
     before = np.append(0.0, apart)
@@ -213,6 +241,17 @@ def _nearest_points(
     largest = np.abs(target).max(axis=0)
     allowed = within * largest + spacing[nearest] + _INEXACT
     return points[:, nearest], np.flatnonzero(distance <= allowed)
+
+
+def _points_begun(problem: Problem, branches: Sequence[Branch]) -> Iterator[np.ndarray]:
+    """Yield points (m + phases + 1, k) along every branch, begun at each of their steps."""
+    for branch in branches:
+        points = np.hstack([*between_nodes(branch)])
+        w, q = points[:-1], points[-1:]
+
+        for first in range(problem.steps):
+            begun = begun_at(w, problem.m, problem.steps, first)
+            yield np.vstack([begun, q])
 
 
 def between_nodes(branch: Branch) -> Iterator[np.ndarray]:
@@ -226,8 +265,8 @@ def between_nodes(branch: Branch) -> Iterator[np.ndarray]:
 
 @dataclass
 class _Along:
-    """The way along a branch to the points nearest to sections `target` (m, n): Newton's
-    step onto the branch, then the step along it that brings the point nearest, to first
+    """The way along a branch to the points nearest to sections `target` (m, n) of the
+    first step: Newton's step onto the branch, then the step along it that brings the point nearest, to first
     order. `Z` (m + phases + 1, n) are the points.
     """
 
@@ -268,7 +307,7 @@ class _Along:
         stride, _ = problem.stride(w, q, slope=True)
         onto = newton_step(stride, w)
 
-        m = len(self.target)
+        m = problem.m
         by_slope = stride.derivative[:, -1] * np.exp(q)
         moves = matvec(stride.inverse, by_slope)
         of_section = similarity(stride.y, moves[:m])

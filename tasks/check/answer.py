@@ -47,7 +47,7 @@ def _said(case: Case) -> dict[str, np.ndarray]:
         "is_gait": case.verdict == "gait",
         "slope": case.rows.slope,
         "gait": case.label.astype(str),
-        "steps": np.where(has_nearest, case.steps, 0),
+        "steps": np.where(has_nearest, case.nearest.steps, 0),
         "distance": np.where(has_nearest, case.distance, np.nan),
         "missed": case.missed,
         "spectral_radius": case.nearest.radius,

@@ -15,10 +15,10 @@ from gaitsweep.tasks.mechanics.arrays import (
     Marks,
     Numbers,
     Sections,
-    Times,
     Unknowns,
 )
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.several_steps import joined
 from gaitsweep.tasks.step.simulate import STRUCK, SimulatedSteps
 
 #: States that are solved for as gaits although no branch has one near.
@@ -46,7 +46,7 @@ def _returning(case: Case) -> Numbers:
 def _judge_solved(case: Case, problem: Problem, lanes: Numbers, q: LogSlopes) -> None:
     """Tell rows near which Newton's method finds gaits, at values of ln drive."""
     y = case.sections(lanes, case.states(lanes))
-    w, solved = solved_from(problem, y, case.times[:, lanes], q)
+    w, solved = solved_from(problem, y[None], case.times[None, :, lanes], q)
     lanes, q = lanes[solved], q[solved]
     gaits = described(problem, w, q)
     distance = relative_distance(case.states(lanes), gaits.state)
@@ -69,14 +69,15 @@ def close_returns(steps: SimulatedSteps, start: Sections) -> Numbers:
 
 
 def solved_from(
-    problem: Problem, y: Sections, times: Times, q: LogSlopes
+    problem: Problem, y: np.ndarray, times: np.ndarray, q: LogSlopes
 ) -> tuple[Unknowns, Marks]:
-    """Gaits in similarity coordinates to which Newton's method leads from sections at
-    values of ln drive, and which sections lead to one.
+    """Gaits in similarity coordinates to which Newton's method leads from sections
+    (steps, 3, k) and event times (steps, phases, k) of steps at values of ln drive, and
+    which of them lead to one.
     """
     if not len(q):
         return np.empty((problem.m + problem.phases, 0)), np.empty(0, bool)
-    y = y[: problem.m]
-    w = np.vstack([np.log(y[:1]), y[1:] / y[0], times])
+    durations = np.diff(times, axis=1, prepend=0)
+    w = joined(0.0, y[:, : problem.step.m], durations)
     w, converged = newton(problem, w, q, max_iterations=_MOST_ITERATIONS)
     return w[:, converged], converged

@@ -35,8 +35,6 @@ class Case:
     walker : Walker
     grounds : Grounds
     rows : Rows
-    claimed : int
-        Number of steps after which the states are held to repeat.
     general : Lanes
         The step map in n lanes, with three section coordinates for every kind of walker.
     verdict, reason : ndarray of str, shape (n,)
@@ -53,9 +51,8 @@ class Case:
         By what the state misses itself after one step, relative.
     candidates : list of Gaits
         Gaits at the slopes of the rows, one of each in every set.
-    nearest, distance, label, steps : Gaits, ndarray, shape (n,)
-        The gait nearest to the state, how far it is, relative, what it is called, and
-        after how many steps it repeats.
+    nearest, distance, label : Gaits, ndarray, shape (n,)
+        The gait nearest to the state, how far it is, relative, and what it is called.
     other : ndarray of str, shape (n,)
         Walker of the catalogue of which the state is a gait.
     """
@@ -63,13 +60,11 @@ class Case:
     walker: Walker
     grounds: Grounds
     rows: Rows
-    claimed: int
 
     def __post_init__(self) -> None:
         n = len(self.rows.slope)
         self.n = n
         self.problem = self.grounds.problem
-        self.branches = self.grounds.branches
         self.general = _general(self.walker, n)
 
         self.verdict = np.full(n, "", dtype="<U32")
@@ -88,8 +83,12 @@ class Case:
         self.nearest = Gaits.none(n)
         self.distance = np.full(n, np.inf)
         self.label = np.full(n, "", dtype=object)
-        self.steps = np.ones(n, int)
         self.other = np.full(n, "", dtype=object)
+
+    @property
+    def claimed(self) -> int:
+        """Number of steps after which the states are held to repeat."""
+        return self.grounds.claimed
 
     @property
     def open(self) -> np.ndarray:
@@ -115,7 +114,7 @@ class Case:
     def say_period(self, lanes: Numbers) -> None:
         """Give some rows the verdict that they repeat after other steps than claimed."""
         words = []
-        for count in self.steps[lanes].tolist():
+        for count in self.nearest.steps[lanes].tolist():
             plural = "s" if count > 1 else ""
             words.append(f"{count} step{plural}")
         self.say("period", lanes, steps=words)
@@ -185,10 +184,9 @@ class Case:
             some = lanes[numbers == number]
             self.set_nearest(some, some_gaits(gaits, some))
 
-    def set_nearest(self, lanes: Numbers, gaits: Gaits, steps: int = 1) -> None:
-        """Make gaits of so many steps, of k lanes, the nearest of some k rows."""
+    def set_nearest(self, lanes: Numbers, gaits: Gaits) -> None:
+        """Make gaits of k lanes the nearest of some k rows."""
         self.nearest.put(lanes, gaits)
-        self.steps[lanes] = steps
         self.distance[lanes] = relative_distance(self.states(lanes), gaits.state)
         places, passes = gaits.place.tolist(), gaits.passes.tolist()
         for lane, place, times in zip(lanes.tolist(), places, passes, strict=True):

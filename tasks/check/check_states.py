@@ -68,8 +68,8 @@ def check_states(params: Mapping[str, Any]) -> dict[str, Any]:
     rows = Rows.of(walker, params)
     problem = Problem(walker)
     branches = atlases.survey(problem, COARSE)
-    grounds = Grounds(problem, branches)
-    case = Case(walker, grounds, rows, int(params.get("steps", 1)))
+    grounds = Grounds(problem, branches, int(params.get("steps", 1)))
+    case = Case(walker, grounds, rows)
     for rule in _RULES:
         rule(case)
     return answer(case)

@@ -12,7 +12,11 @@ from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.nearest import Gaits, gaits_at
 from gaitsweep.tasks.mechanics.arrays import Numbers, Slopes
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.studies.follow_cycles import cycle_branches
 from gaitsweep.tasks.studies.solve_driven import branches_over_any_slope
+
+#: Branches, and the problem whose gaits they are of.
+Followed = tuple[Problem, list[Branch]]
 
 
 @dataclass(frozen=True)
@@ -20,10 +24,14 @@ class Grounds:
     """A walker's gaits on any ground: those of branches over slopes above 0 and, where it
     is level or leads uphill, of branches of the driven walker that lead there. Both
     depend on the walker alone, so that no row of a table changes what is said of others.
+
+    `problem` and `branches` are those of one step. Gaits are claimed to repeat after
+    `claimed` steps, whose branches are followed when they are first asked for.
     """
 
     problem: Problem
     branches: list[Branch]
+    claimed: int = 1
 
     def of(
         self, slope: Slopes
@@ -49,12 +57,35 @@ class Grounds:
         """Branches of a driven walker over slopes that lead uphill, too."""
         return branches_over_any_slope(self.problem.walker, self.branches)
 
+    @cached_property
+    def downhill(self) -> list[Followed]:
+        """Branches over slopes above 0 of gaits of one step, and of the claimed ones."""
+        return [(self.problem, self.branches), *self._cycles]
+
+    @cached_property
+    def _cycles(self) -> list[Followed]:
+        """Branches over slopes above 0 of gaits of the claimed steps, if several."""
+        if self.claimed == 1:
+            return []
+        followed = cycle_branches(self.problem, self.branches, self.claimed)
+        return [(self.problem.of_steps(self.claimed), followed)]
+
     def gaits_at(self, slope: Slopes) -> list[Gaits]:
-        """The gaits at slopes (n,), in as many sets as there are pieces of branches."""
+        """The gaits at slopes (n,) of one step and of the claimed ones, in as many sets as
+        there are pieces of branches and steps at which they may begin.
+        """
+        if not len(slope):
+            return []
         found: list[Gaits] = []
         for lanes, problem, branches, counted in self.of(slope):
             for number, gaits in enumerate(gaits_at(problem, branches, counted)):
                 if number == len(found):
                     found.append(Gaits.none(len(slope)))
                 found[number].put(lanes, gaits)
+
+        down = np.flatnonzero(slope > 0)
+        for problem, branches in self._cycles if len(down) else []:
+            for gaits in gaits_at(problem, branches, slope[down]):
+                found.append(Gaits.none(len(slope)))
+                found[-1].put(down, gaits)
         return found

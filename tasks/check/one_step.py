@@ -1,4 +1,4 @@
-"""Rules of gaits of one step at the slope of the row."""
+"""Rules of gaits of branches at the slope of the row."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _FLOWN = 20.0
 
 
 def judge_gaits(case: Case) -> None:
-    """Tell rows that are gaits of one step."""
+    """Tell rows that are the gaits nearest to them."""
     lanes = case.open
     say_gaits(case, lanes[are_gaits(case, case.nearest.state[:, lanes], lanes)])
 
@@ -26,7 +26,7 @@ def are_gaits(case: Case, gait: State, lanes: Numbers) -> np.ndarray:
 
 def say_gaits(case: Case, lanes: Numbers) -> None:
     """Tell rows that are the gaits nearest to them, after as many steps as claimed."""
-    is_claimed = case.steps[lanes] == case.claimed
+    is_claimed = case.nearest.steps[lanes] == case.claimed
     case.say_period(lanes[~is_claimed])
     lanes = lanes[is_claimed]
     case.say("gait", lanes)

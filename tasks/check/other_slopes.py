@@ -150,7 +150,8 @@ def _origins(
 def _on_branches(case: Case, lanes: Numbers) -> Iterator[_OnBranch]:
     """The gaits nearest to some rows on each branch over slopes above 0."""
     if len(lanes):
-        yield from _nearest(case, lanes, case.problem, case.branches)
+        for problem, branches in case.grounds.downhill:
+            yield from _nearest(case, lanes, problem, branches)
 
 
 def _on_any_ground(case: Case, lanes: Numbers) -> Iterator[_OnBranch]:
@@ -167,7 +168,7 @@ def _nearest(
 ) -> Iterator[_OnBranch]:
     """The gaits nearest to some rows on each of some branches, at any slope."""
     state = case.states(lanes)
-    y = case.sections(lanes, state)[: problem.m]
+    y = case.sections(lanes, state)[: problem.step.m]
     within = CHANGED * case.relative_tolerance(lanes)
     if case.walker.knees:
         within *= _BEFORE_IMPACT

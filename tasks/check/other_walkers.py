@@ -7,6 +7,7 @@ import numpy as np
 from gaitsweep.tasks.branches.nearest import described
 from gaitsweep.tasks.check.beside_branches import close_returns, solved_from
 from gaitsweep.tasks.check.case import CHANGED, Case
+from gaitsweep.tasks.check.rows import State
 from gaitsweep.tasks.mechanics.arrays import Numbers
 from gaitsweep.tasks.mechanics.lumped import general_structure_of
 from gaitsweep.tasks.step.problem import Lanes, Problem
@@ -28,24 +29,54 @@ def judge_walkers(case: Case) -> None:
 
 
 def _judge_walker(case: Case, name: str, walker: Walker, lanes: Numbers) -> None:
-    """Tell rows that a catalogue walker takes back to themselves."""
+    """Tell rows that a catalogue walker takes back to themselves, after one step or those
+    claimed.
+    """
     general = Lanes([walker], general_structure_of(walker))
     general = general.some(np.zeros(len(lanes), int))
     slope, state = case.slopes(lanes), case.states(lanes).copy()
     state[1:] *= walker.time_unit / case.walker.time_unit
     y = general.section_of(state, slope)
-    steps = stride(general, y, slope, exact=False)
-    returns = close_returns(steps, y)
-    problem = Problem(walker)
-    w, solved = solved_from(
-        problem,
-        y[:, returns],
-        steps.times[:, returns],
-        np.log(slope[returns]),
-    )
-    returns = returns[solved]
-    gaits = described(problem, w, np.log(slope[returns]))
-    are = case.within(state[:, returns], gaits.state, lanes[returns], CHANGED)
-    known = lanes[returns[are]]
-    case.other[known] = name
-    case.say("walker", known, walker=case.other[known])
+    sections, times = [y], list[np.ndarray]()
+    for steps in range(1, case.claimed + 1):
+        taken = stride(general, sections[-1], slope, exact=False)
+        sections.append(taken.image)
+        times.append(taken.times)
+        if steps not in (1, case.claimed):
+            continue
+
+        returns = close_returns(taken, y)
+        y_taken = np.array(sections[:-1])[..., returns]
+        ends = np.array(times)[..., returns]
+
+        some = lanes[returns]
+        own = state[:, returns]
+        known = _are_gaits(case, Problem(walker, steps), some, own, y_taken, ends)
+        _say_walker(case, name, known)
+
+
+def _are_gaits(
+    case: Case,
+    problem: Problem,
+    lanes: Numbers,
+    state: State,
+    y: np.ndarray,
+    times: np.ndarray,
+) -> Numbers:
+    """The rows, of some with states (3, k), that are gaits of a problem, by the sections
+    and event times of their steps.
+    """
+    q = np.log(case.slopes(lanes))
+    w, solved = solved_from(problem, y, times, q)
+    lanes = lanes[solved]
+    gaits = described(problem, w, q[solved])
+
+    are = case.within(state[:, solved], gaits.state, lanes, CHANGED)
+    return lanes[are]
+
+
+def _say_walker(case: Case, name: str, lanes: Numbers) -> None:
+    """Give some rows without a verdict that of gaits of another walker."""
+    lanes = lanes[case.verdict[lanes] == ""]
+    case.other[lanes] = name
+    case.say("walker", lanes, walker=case.other[lanes])

@@ -121,5 +121,5 @@ def _judge_cycles_of(
     are = are_gaits(case, gaits.state, lanes)
     told = are | is_nearer if steps == case.claimed else are
     told &= check.step & ~check.doubt
-    case.set_nearest(lanes[told], some_gaits(gaits, np.flatnonzero(told)), steps)
+    case.set_nearest(lanes[told], some_gaits(gaits, np.flatnonzero(told)))
     say_gaits(case, lanes[told & are])

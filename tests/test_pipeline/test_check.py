@@ -193,10 +193,71 @@ def test_a_gait_of_two_steps_taken_for_one_is_told():
     assert two["verdict"] == "gait" and two["missed"] < 1e-9
 
 
+CYCLES = [
+    pytest.param("D", 0.0165, 2),
+    pytest.param("B", 0.018, 4, marks=pytest.mark.thorough),
+    pytest.param("C", 0.085, 2, marks=pytest.mark.thorough),
+]
+
+
+def states_of_cycle(walker, slope, steps):
+    """States with which the steps of a gait begin, as a simulation has them."""
+    first = gait_of(walker, slope, steps=steps)
+    moved = gaitsweep.simulate(walker, slope, first, steps - 1)
+    return np.array([np.ravel(moved[name].values)[:steps] for name in NAMES]).T
+
+
+@pytest.mark.parametrize(("walker", "slope", "steps"), CYCLES)
+def test_each_fault_of_a_gait_of_several_steps_is_named(walker, slope, steps):
+    begun = states_of_cycle(walker, slope, steps)
+    expected = ["gait"] * steps
+    table = [*begun]
+    in_place = {"from_vertical", "clockwise_from_vertical", "rates_over_root", "none"}
+    for verdict, change in FAULTS.items():
+        # Each begins at another step than the one before.
+        if verdict not in in_place:
+            table.append(np.array(change(*begun[len(table) % steps])))
+            expected.append(verdict)
+
+    one = gait_of(walker, slope)
+    told = gaitsweep.check([*table, one], walker, slope, steps=steps)
+
+    assert told["verdict"].tolist() == [*expected, "period"]
+    assert told["steps"].tolist() == [*[steps] * len(table), 1]
+
+
+@pytest.mark.parametrize(("walker", "slope", "steps"), CYCLES)
+def test_the_slope_of_a_gait_of_several_steps_is_told(walker, slope, steps):
+    begun = states_of_cycle(walker, 1.004 * slope, steps)
+
+    told = gaitsweep.check(begun, walker, slope, steps=steps)
+
+    assert set(told["verdict"]) == {"slope"}
+    np.testing.assert_allclose(told["belongs_to_slope"], 1.004 * slope, rtol=1e-6)
+
+
+def test_a_rounded_slope_of_a_gait_of_several_steps_is_told():
+    table = {"slope": ["0.0165", "0.0170"]}
+    exact = [gait_of("D", slope, steps=2) for slope in (0.01652, 0.0170)]
+    for name, values in zip(NAMES, np.transpose(exact), strict=True):
+        table[name] = [f"{value:.4f}" for value in values]
+
+    told = gaitsweep.check(pd.DataFrame(table), "D", steps=2)
+
+    assert told["verdict"].tolist() == ["gait", "gait"]
+    assert told["steps"].tolist() == [2, 2]
+
+
 def test_a_gait_of_another_walker_is_told():
     row = judged([gait_of("B", 0.009)], "E", 0.009)
 
     assert (row["verdict"], row["walker"]) == ("walker", "B")
+
+
+def test_a_gait_of_two_steps_of_another_walker_is_told():
+    row = judged([gait_of("D", 0.0165, steps=2)], "B", 0.0165, steps=2)
+
+    assert (row["verdict"], row["walker"]) == ("walker", "D")
 
 
 def test_digits_that_were_cut_are_told_apart_from_a_table_of_few(compass):
@@ -440,7 +501,7 @@ def test_a_solution_of_two_steps_that_are_none_is_no_gait():
     params = {"slope": [0.08], "convention": "gaitsweep", "tolerance": 1e-6}
     params |= {"table": of_rows, "digits": digits, "sizes": digits, "rates": "scaled"}
     rows = Rows.of(problem.walker, params)
-    case = Case(problem.walker, Grounds(problem.of_steps(1), []), rows, 2)
+    case = Case(problem.walker, Grounds(problem.of_steps(1), [], 2), rows)
     several_steps._judge_cycles_of(case, problem, lanes, w, q)
 
     assert case.verdict.tolist() == [""]
