@@ -68,9 +68,9 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `line`, at which the curves begin if its value of the key lies in the range and
-        it has such points, else at an end of the range, the nearer first; `slope`,
-        ndarray [rad], whose ends are the window; and the study's options: `key` (a
+        `line`, at which the curves of a kind begin if its value of the key lies in the
+        range and it has such points, else at an end of the range, the nearer first;
+        `slope`, ndarray [rad], whose ends are the window; and the study's options: `key` (a
         walker key, `detuning` or `foot_mass_ratio`), `from` and `to`, its range in the
         walker's units, or `plane`, the ranges of two keys, `kinds` of points, and `levels`, measures with their values.
     inputs : list
@@ -105,14 +105,17 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     window = _Window((slope.min(), slope.max()), keys)
     tables = _Tables([], [], [])
     value = value_of_key(line, key)
+    missing = conditions
     for begin in _beginnings(value, keys):
         problem = Problem(keys.walker_at(begin))
         if begin == value:
             branches = atlases.from_arrays(inputs[0])
         else:
             branches = atlases.survey(problem)
-        seeds = _seeds(problem, branches, conditions, window)
-        if _follow_all(seeds, conditions, begin, window, tables):
+        seeds = _seeds(problem, branches, missing, window)
+        begun = _follow_all(seeds, conditions, begin, window, tables)
+        missing = {kind: missing[kind] for kind in missing if kind not in begun}
+        if not missing:
             break
 
     found = table("curves", tables.curves, _CURVES)
@@ -181,9 +184,9 @@ def _follow_all(
     begin: float,
     window: _Window,
     tables: _Tables,
-) -> bool:
-    """Follow the curves through points at one value of the key, each once; and whether
-    there is any.
+) -> set[str]:
+    """Follow the curves through points at one value of the key, each once; and what
+    tables call those that there are.
     """
     seen: list[tuple[str, ndarray]] = []
     others = met(conditions, window.keys.structure.kneed)
@@ -203,7 +206,7 @@ def _follow_all(
         tables.curves.extend(_curve_rows(number, curve, window))
         tables.turnings.extend(_turning_rows(number, curve, window))
         tables.meetings.extend(_meeting_rows(number, curve, window))
-    return bool(seen)
+    return {kind for kind, _ in seen}
 
 
 def _is_among(seen: list[tuple[str, ndarray]], kind: str, X: ndarray) -> bool:

@@ -343,6 +343,29 @@ def test_a_curve_begins_at_the_detuning_of_the_walkers_own_table():
         assert own[name].tolist() == column.tolist(), name
 
 
+@pytest.mark.thorough
+def test_curves_of_each_kind_begin_where_there_are_points_of_it():
+    """The tuned walker has flips, and folds only at the other end of the range."""
+    options = {
+        "line": {"walker": "A", "set": {}},
+        "slope": np.array([1e-3, 0.1]),
+        "key": "detuning",
+        "from": 0.0,
+        "to": 0.5,
+    }
+    of_tuned = [_atlas("A", ())]
+
+    both = curve({**options, "kinds": ["flip", "fold"]}, of_tuned)
+
+    assert both["curves/curve"][0] == 0 and both["curves/kind"][0] == "flip"
+    alone = curve({**options, "kinds": ["fold"]}, of_tuned)
+    is_fold = both["curves/kind"] == "fold"
+    assert is_fold.any()
+    for column in ("slope", "value"):
+        own = both[f"curves/{column}"][is_fold]
+        assert own.tolist() == alone[f"curves/{column}"].tolist()
+
+
 def test_a_curve_that_returns_to_the_border_it_began_at_is_one():
     """It was followed again from its other end: two curves, and its turning point
     twice.
