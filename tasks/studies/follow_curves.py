@@ -103,25 +103,37 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     key = str(options["key"])
     keys = _keys(line, key, float(options["from"]), float(options["to"]))
     window = _Window((slope.min(), slope.max()), keys)
-    tables = _Tables([], [], [])
-    value = value_of_key(line, key)
-    missing = conditions
-    for begin in _beginnings(value, keys):
-        problem = Problem(keys.walker_at(begin))
-        if begin == value:
-            branches = atlases.from_arrays(inputs[0])
-        else:
-            branches = atlases.survey(problem)
-        seeds = _seeds(problem, branches, missing, window)
-        begun = _follow_all(seeds, conditions, begin, window, tables)
-        missing = {kind: missing[kind] for kind in missing if kind not in begun}
-        if not missing:
-            break
-
+    tables = _from_beginnings(value_of_key(line, key), inputs[0], conditions, window)
     found = table("curves", tables.curves, _CURVES)
     found |= table("turnings", tables.turnings, _TURNINGS)
     found |= table("meetings", tables.meetings, _MEETINGS)
     return found if tables.curves else found | nothing(_NO_START)
+
+
+def _from_beginnings(
+    value: float,
+    atlas: Arrays,
+    conditions: Mapping[str, Condition],
+    window: _Window,
+) -> _Tables:
+    """Follow the curves of each condition from the first beginning that has points of
+    it; `atlas` is that of the line, at its own value of the key.
+    """
+    tables = _Tables([], [], [])
+    missing = dict(conditions)
+    for begin in _beginnings(value, window.keys):
+        problem = Problem(window.keys.walker_at(begin))
+        if begin == value:
+            branches = atlases.from_arrays(atlas)
+        else:
+            branches = atlases.survey(problem)
+        seeds = _seeds(problem, branches, missing, window)
+
+        begun = _follow_all(seeds, conditions, begin, window, tables)
+        missing = {kind: missing[kind] for kind in missing if kind not in begun}
+        if not missing:
+            break
+    return tables
 
 
 def _keys(line: Mapping[str, Any], key: str, low: float, high: float) -> Keys:
