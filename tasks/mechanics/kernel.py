@@ -197,8 +197,8 @@ class Flow:
         directions: int,
         with_slope: bool,
         coarse: bool,
-        compact: bool = False,
         dissipates: bool = False,
+        compact: bool = False,
     ):
         motion = system(structure, structure.kneed, directions, with_slope, dissipates)
         #: What comes after these among a walker's parameters only the strikes need.
@@ -339,7 +339,7 @@ def flow(
     """
     compact = is_compact()
     structure = structure.between_strikes()
-    key = structure, directions, with_slope, coarse, compact, dissipates
+    key = structure, directions, with_slope, coarse, dissipates, compact
     if key not in FLOWS:
         prepare_compiler()
         # Who follows branches needs both flows: two workers compile one each.

@@ -649,8 +649,8 @@ def test_rows_of_maps_are_named_by_what_tells_them_apart():
 
 
 def test_every_figure_has_its_words():
-    # `check` is on the page of a command, no figure of a study.
-    assert set(WORDS["figures"]) == {"all", "check", *FIGURES}
+    # `check` and `diff` are on pages of commands, no figures of a study.
+    assert set(WORDS["figures"]) == {"all", "check", "diff", *FIGURES}
     assert all(
         {"title", "caption", "alt", "absent"} <= set(WORDS["figures"][name])
         for name in FIGURES
