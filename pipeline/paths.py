@@ -7,7 +7,7 @@ import secrets
 import stat
 from pathlib import Path
 
-from gaitsweep.pipeline.errors import ArchiveError
+from gaitsweep.pipeline.errors import ArchiveError, unwritten
 
 _HEAD = 1024  # read of a file to recognise it [byte]
 #: What is no regular file, by the letter with which `ls -l` shows it.
@@ -45,6 +45,33 @@ def check_own(path: Path, beginning: bytes) -> None:
             head = file.read(_HEAD).strip(b"\0")
         if head and not re.match(beginning, head):
             raise ArchiveError(f"{path} is not a file of gaitsweep; move it away.")
+
+
+def check_page(path: Path, command: str) -> None:
+    """Check that where a command is to write its page nothing stands, or a page of it.
+
+    Raises
+    ------
+    ArchiveError
+        If something else stands there.
+    """
+    made = f'<meta name="generator" content="gaitsweep {command}">'
+    check_own(path, b"(?s)<!doctype html>.*" + re.escape(made.encode()))
+
+
+def publish_page(path: Path, command: str, text: str) -> None:
+    """Write the page of a command, over nothing but an earlier page of it.
+
+    Raises
+    ------
+    ArchiveError
+        If something else stands there, or it cannot be written.
+    """
+    check_page(path, command)
+    try:
+        publish(path, text.encode())
+    except OSError as error:
+        raise unwritten(path, error) from error
 
 
 def kind_of(mode: int) -> str:

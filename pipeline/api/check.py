@@ -9,13 +9,14 @@ import pandas as pd
 import xarray as xr
 
 from gaitsweep.pipeline.api.threads import in_turn
-from gaitsweep.pipeline.dispatch import ask, for_question, resolve
+from gaitsweep.pipeline.dispatch import ask, for_question
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study import slopes, states
 from gaitsweep.pipeline.study.broadcast import changes, definition
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.single_point import check_driven
 from gaitsweep.pipeline.study.states import States
+from gaitsweep.tasks.contract.registry import MAX_STEPS_OF_STATES
 
 #: States: a file, columns by name, or rows of numbers. So is a pandas.DataFrame.
 Table: TypeAlias = (
@@ -97,7 +98,6 @@ def check(
     else:
         given = states.from_python(table, convention, renamed)
     of_rows = _in_rad(given, slope, degrees)
-    most_steps = resolve("gaitsweep.tasks.check.several_steps:MOST_STEPS")
     params = {
         "walker": definition(walker),
         "set": changes(keys),
@@ -105,12 +105,15 @@ def check(
         "convention": convention,
         "rates": _rates(rates),
         "tolerance": _tolerance(tolerance),
-        "steps": Location("", "steps").count(steps, most_steps),
+        "steps": Location("", "steps").count(steps, MAX_STEPS_OF_STATES),
     }
     # A slope above 0 may have been rounded to 0.
     rounded = 0.5 * of_rows["sizes"].get("slope", 0.0)
-    lowest = float((of_rows["slope"] + rounded).min(initial=np.inf))
-    check_driven(params["walker"], params["set"], lowest)
+    highest = np.atleast_1d(of_rows["slope"] + rounded)
+    if highest.size and slopes.is_level(float(highest.min())):
+        given_slope = np.broadcast_to(of_rows["slope"], highest.shape)
+        slope_of_row = float(given_slope[highest.argmin()])
+        check_driven(params["walker"], params["set"], slope_of_row)
     with for_question(given.count):
         answer = ask("check_states", params)
     return _frame(answer)

@@ -11,7 +11,6 @@ import pandas as pd
 from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.api.check import check
 from gaitsweep.pipeline.dispatch import ask
-from gaitsweep.pipeline.errors import unwritten
 from gaitsweep.pipeline.study.single_point import led
 
 #: Columns of the table that is printed.
@@ -22,6 +21,8 @@ _MOST = 40
 
 def run(options: argparse.Namespace) -> int:
     """Print a row per state and the summary; the exit code is 1 if one is no gait."""
+    if options.page:
+        paths.check_page(options.page, "check")
     walker, keys = led(options.walker, options.set)
     # As a keyword a wrong key might be another argument.
     ask("check_walker", {"walker": walker, "set": keys})
@@ -75,12 +76,9 @@ def _lines(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _write_page(options: argparse.Namespace, frame: pd.DataFrame) -> None:
-    """Write the page, and print its path to stderr."""
+    """Write the page."""
     from gaitsweep.pipeline.report import check_page
 
     title = f"Gaits of {options.walker} in {options.states.name}?"
     text = check_page.page(frame, title)
-    try:
-        paths.publish(options.page, text.encode())
-    except OSError as error:
-        raise unwritten(options.page, error) from error
+    paths.publish_page(options.page, "check", text)

@@ -1,32 +1,37 @@
 """`gaitsweep diff`: differences between two archives."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.archive import diff, read
-from gaitsweep.pipeline.errors import unwritten
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the differences; the exit code is 1 if there are any."""
     read.probe([options.a, options.b])
+    if options.page:
+        paths.check_page(options.page, "diff")
     own = dict(options.rtol)
     differences = diff.diff(options.a, options.b, own.pop("", 0.0), own)
-    if options.page:
-        _write_page(options, differences)
     print("\n".join(differences) if differences else "They agree.")
+
+    if options.page:
+        from gaitsweep.pipeline.report import diff_page
+
+        compared = diff.numbers(options.a, options.b)
+        summary = _summary(len(differences), dict(options.rtol))
+        archives = options.a, options.b
+        text = diff_page.page(archives, summary, differences, compared)
+        paths.publish_page(options.page, "diff", text)
     return 1 if differences else 0
 
 
-def _write_page(options: argparse.Namespace, differences: Sequence[str]) -> None:
-    """Write the page on which the differences are drawn."""
-    from gaitsweep.pipeline.report import diff_page
-
-    paths.check_own(options.page, rb"(?s)<!doctype html>.*gaitsweep")
-    compared = diff.numbers(options.a, options.b)
-    text = diff_page.page((options.a, options.b), differences, compared)
-    try:
-        paths.publish(options.page, text.encode())
-    except OSError as error:
-        raise unwritten(options.page, error) from error
+def _summary(count: int, tolerances: Mapping[str, float]) -> str:
+    """How many differences there are, beyond which tolerances."""
+    said = [f"{name} {rtol:g}".strip() for name, rtol in tolerances.items() if rtol]
+    given = f" within {', '.join(said)}" if said else ""
+    if not count:
+        return f"They agree{given}."
+    beyond = f" beyond {', '.join(said)}" if said else ""
+    return f"Differences{beyond}: {count}."

@@ -51,6 +51,13 @@ def steps(text: str) -> int:
     return count(text, MAX_STEPS)
 
 
+def steps_of_states(text: str) -> int:
+    """Steps after which the states of a table are held to repeat."""
+    from gaitsweep.tasks.contract.registry import MAX_STEPS_OF_STATES
+
+    return count(text, MAX_STEPS_OF_STATES)
+
+
 def number(text: str, key: str = "") -> float:
     """A number, that of a key if one is given."""
     try:

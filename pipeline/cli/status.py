@@ -1,7 +1,9 @@
 """`gaitsweep status`: progress of the current or last run."""
 
 import argparse
+import contextlib
 import os
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -13,7 +15,7 @@ from gaitsweep.pipeline.cli.errors import gravest, say
 from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.engine import locks
 from gaitsweep.pipeline.engine.progress import last_state, sentence, stages
-from gaitsweep.pipeline.errors import GaitsweepError, unwritten
+from gaitsweep.pipeline.errors import GaitsweepError
 from gaitsweep.pipeline.terminal import PAUSE, counted, duration, processor_time
 
 if TYPE_CHECKING:
@@ -61,26 +63,48 @@ def keep_page(
     """
     from gaitsweep.pipeline.report.progress_page import ProgressPage
 
-    paths.check_own(page, rb"(?s)<!doctype html>.*gaitsweep")
+    paths.check_page(page, "status")
     os.nice(10)
     drawn = ProgressPage()
-    is_running, is_first = True, True
+    is_running = _is_running(archives)
+    if is_running:
+        terminal.say(f"{page} is kept until no run is in flight.")
     try:
-        while is_running:
-            is_running = any(
-                state and state["running"] for state in map(state_of, archives)
-            )
-            drawn.update(archives, at_once=not is_running)
-            began = processor_time()
-            _write_page(page, drawn, archives, _EVERY if is_running else 0)
-            if is_running and is_first:
-                terminal.say(f"{page} is kept until no run is in flight.")
-            is_first = False
-            if is_running:
+        with _interrupted_by_any_signal():
+            while is_running:
+                drawn.update(archives)
+                began = processor_time()
+                _write_page(page, drawn, archives, _EVERY)
                 sleep(max(_EVERY, PAUSE * (processor_time() - began)))
-    except KeyboardInterrupt:
+                is_running = _is_running(archives)
+            drawn.update(archives, at_once=True)
+    finally:
         _write_page(page, drawn, archives, 0)
-        raise
+
+
+def _is_running(archives: Sequence[Path]) -> bool:
+    """Whether a run of some archives is in flight."""
+    states = map(state_of, archives)
+    return any(state["running"] for state in states if state)
+
+
+@contextlib.contextmanager
+def _interrupted_by_any_signal() -> Iterator[None]:
+    """Let TERM and HUP end the program as INT does, if they are not ignored."""
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    handlers = {
+        number: signal.signal(number, interrupt)
+        for number in (signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(number) not in (signal.SIG_IGN, None)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 def _write_page(
@@ -90,11 +114,8 @@ def _write_page(
     states = {path: state_of(path) for path in archives}
     said = {path: list(_lines(path, state)) for path, state in states.items()}
     of_runs = {path: stages(state or {}) for path, state in states.items()}
-    text = drawn.text(of_runs, said, refresh)
-    try:
-        paths.publish(page, text.encode())
-    except OSError as error:
-        raise unwritten(page, error) from error
+    running = [path for path, state in states.items() if state and state["running"]]
+    paths.publish_page(page, "status", drawn.text(of_runs, said, running, refresh))
 
 
 def state_of(path: Path) -> dict[str, Any] | None:

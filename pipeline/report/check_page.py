@@ -59,22 +59,28 @@ def _sketch(frame: pd.DataFrame) -> Sketch:
     sketch = Sketch("check", 300)
     (axes,) = sketch.panels
     low, high = _edges(frame["slope"])
+    heights = [frame["stance_angle"][frame["is_gait"]]]
     for curve in frame.attrs["curves"]:
         slope, angle = curve["slope"], curve["stance_angle"]
         # Beyond the edges too, so that curves lead up to them.
         inside = (slope >= 2 * low - high) & (slope <= 2 * high - low)
         axes.plot(slope[inside], angle[inside], color=MUTED, lw=1.2)
+        heights.append(pd.Series(angle[inside]))
 
+    # Angles in other units would leave the curves no room: they stand at the edge.
+    known = pd.concat(heights)
+    least, most = _range(known if len(known) else frame["stance_angle"])
+    bottom, top = min(0.0, 1.2 * least), 1.2 * max(most, 0.01)
     found = frame["verdict"].unique().tolist()
     others = [name for name in found if name != "gait"]
     colours = dict(zip(others, inks(others), strict=True))
     for verdict in found:
         rows = frame[frame["verdict"] == verdict]
+        rows = rows.assign(stance_angle=rows["stance_angle"].clip(bottom, top))
         _draw_states(sketch, rows, verdict, colours.get(verdict, INK))
 
-    least, most = _range(frame["stance_angle"])
     axes.set_xlim(low, high)
-    axes.set_ylim(min(0.0, 1.2 * least), 1.2 * max(most, 0.01))
+    axes.set_ylim(bottom, top)
     sketch.draw_legend(set())
     shown = frame[["slope", "stance_angle", "verdict"]]
     return sketch.finish(shown, summary=frame.attrs["summary"])

@@ -24,12 +24,11 @@ from gaitsweep.pipeline.terminal import counted
 
 #: Panels of the figure, and points of each of their curves.
 _PANELS, _POINTS = 9, 400
-#: What is drawn of a difference of 0, which has no place on a logarithmic axis.
-_LEAST = 1e-18
 
 
 def page(
     archives: tuple[Path, Path],
+    summary: str,
     differences: Sequence[str],
     compared: Sequence[Numbers],
 ) -> str:
@@ -38,27 +37,32 @@ def page(
     Parameters
     ----------
     archives : pair of Path
+    summary : str
+        How many differences there are, in a sentence.
     differences : sequence of str
         Sentences on what differs, as `gaitsweep diff` prints them.
     compared : sequence of Numbers
         The numbers that both have.
     """
     first, second = (path.name for path in archives)
-    ordered = sorted(compared, key=_largest, reverse=True)
-    differing = [numbers for numbers in ordered if _largest(numbers) > 0]
+    ordered = sorted(compared, key=_how_far, reverse=True)
+    differing = [numbers for numbers in ordered if _how_far(numbers) > (0, 0.0)]
+    drawn = [numbers for numbers in differing if _largest(numbers) > 0][:_PANELS]
 
     drawing: Drawing | None = None
-    if differing:
+    if drawn:
         with style():
-            drawing = render(_sketch(differing[:_PANELS]), "diff", "diff", small=False)
+            drawing = render(_sketch(drawn), "diff", "diff", small=False)
     table = None
-    if ordered:
-        rows = pd.DataFrame([_row(numbers) for numbers in ordered])
-        table = html_tables.named("diff/variables", rows, is_open=True, where="answer")
-
-    summary = "They agree."
-    if differences:
-        summary = f"{counted(len(differences), 'difference')}."
+    if differing:
+        equal = len(ordered) - len(differing)
+        note = (
+            f"{counted(equal, 'other variable')} have equal numbers." if equal else ""
+        )
+        rows = pd.DataFrame([_row(numbers) for numbers in differing])
+        table = html_tables.named(
+            "diff/variables", rows, is_open=True, where="answer", note=note
+        )
     return render_template(
         "diff.html",
         title=f"Differences of {first} and {second}",
@@ -67,6 +71,17 @@ def page(
         drawing=drawing,
         table=table,
     )
+
+
+def _how_far(numbers: Numbers) -> tuple[int, float]:
+    """How many numbers of a variable one archive lacks, and their largest difference."""
+    return _absent(numbers), _largest(numbers)
+
+
+def _absent(numbers: Numbers) -> int:
+    """How many numbers of a variable only one archive has."""
+    first, second = numbers.first.values, numbers.second.values
+    return int(np.count_nonzero(np.isnan(first) != np.isnan(second)))
 
 
 def _largest(numbers: Numbers) -> float:
@@ -82,9 +97,11 @@ def _sketch(compared: Sequence[Numbers]) -> Sketch:
     for axes, numbers in zip(sketch.panels, compared, strict=False):
         along = _along(numbers)
         frame = _along_axis(numbers, along)
-        x = frame["value"]
-        axes.plot(x, frame["median"].clip(_LEAST), color=MUTED, lw=1.0)
-        axes.plot(x, frame["largest"].clip(_LEAST), color=LINE, lw=1.4)
+        x, positive = frame["value"], frame[["median", "largest"]].to_numpy()
+        # A difference of 0 has no place on a logarithmic axis.
+        least = 0.1 * positive[positive > 0].min()
+        axes.plot(x, frame["median"].clip(least), color=MUTED, lw=1.0)
+        axes.plot(x, frame["largest"].clip(least), color=LINE, lw=1.4)
         set_log(axes, "y")
         _show_a_decade(axes)
         if along and _is_logarithmic(x.to_numpy()):
@@ -151,6 +168,7 @@ def _row(numbers: Numbers) -> dict[str, object]:
     over = numbers.difference.values
     row: dict[str, object] = {
         "variable": numbers.name,
+        "absent in one": _absent(numbers),
         "compared": int(np.isfinite(over).sum()),
         "differ": int((over > 0).sum()),
         "largest": _largest(numbers),

@@ -3,7 +3,7 @@ figures of what each run has published.
 """
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -74,6 +74,7 @@ class ProgressPage:
         self,
         stages: Mapping[Path, Sequence[tuple[str, int, int, float]]],
         said: Mapping[Path, list[str]],
+        running: Collection[Path] = (),
         refresh: int = 0,
     ) -> str:
         """Return the page.
@@ -85,6 +86,8 @@ class ProgressPage:
             done, and the time to go [s].
         said : mapping
             Sentences on each of them.
+        running : collection of Path
+            The runs that are in flight.
         refresh : int [s]
             After which a browser loads the page again; 0 for never.
         """
@@ -101,6 +104,7 @@ class ProgressPage:
                 {
                     "path": path,
                     "said": said[path],
+                    "is_running": path in running,
                     "stages": [_stage(*stage) for stage in of_run],
                     "published": replace(published, figures=figures),
                 }

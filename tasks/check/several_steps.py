@@ -9,6 +9,7 @@ from gaitsweep.tasks.check.beside_branches import SOLVED_WITHIN
 from gaitsweep.tasks.check.case import Case, some_gaits
 from gaitsweep.tasks.check.one_step import are_gaits, say_gaits
 from gaitsweep.tasks.check.rows import relative_distance
+from gaitsweep.tasks.contract.registry import MAX_STEPS_OF_STATES
 from gaitsweep.tasks.gaits.newton import newton
 from gaitsweep.tasks.gaits.step_check import verify_steps
 from gaitsweep.tasks.mechanics.arrays import LogSlopes, Marks, Numbers, Unknowns
@@ -17,8 +18,6 @@ from gaitsweep.tasks.step.sameness import SOONER
 from gaitsweep.tasks.step.several_steps import distances_of_steps, joined
 from gaitsweep.tasks.step.simulate import STRUCK, stride
 
-#: Most steps after which a state is looked for again.
-MOST_STEPS = 8
 #: What a state may miss itself by after steps that are not claimed, relative, to be tried
 #: as a gait of so many.
 _RETURNS = 0.05
@@ -61,7 +60,7 @@ def judge_several_steps(case: Case) -> None:
         return
     start = case.sections(lanes, case.states(lanes))
     sections, times = [start], list[np.ndarray]()
-    for steps in range(1, MOST_STEPS + 1):
+    for steps in range(1, MAX_STEPS_OF_STATES + 1):
         problem, slope = case.general.some(lanes), case.slopes(lanes)
         taken = stride(problem, sections[-1], slope, exact=False)
         sections.append(taken.image)

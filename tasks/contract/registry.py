@@ -174,6 +174,9 @@ LOSS_WINDOWS = {"D": (0.01, 0.0195), "C": (0.07, 0.1), "C-printed": (0.07, 0.1)}
 DRIVES = ("push_off", "hip_torque")
 OVER_DRIVE = ("branch", "cascade", "orbit", "basin", "census")
 
+#: Most steps after which a state of a table is looked for again.
+MAX_STEPS_OF_STATES = 8
+
 #: Kinds whose slopes are a window, between the least and the largest.
 WINDOWED = ("branch", "cascade", "curve", "design")
 #: What is known of gaits of one step only: what a study of longer ones cannot want.

@@ -1,6 +1,7 @@
 """Whether states that somebody holds for gaits are gaits, and if not, why."""
 
 import json
+import re
 import time
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import gaitsweep
 from gaitsweep.pipeline.cli import commands
+from gaitsweep.pipeline.report import check_page
 from gaitsweep.tasks.branches import atlas
 from gaitsweep.tasks.branches.nearest import described
 from gaitsweep.tasks.check import several_steps
@@ -1092,6 +1094,40 @@ def test_a_gait_of_two_steps_on_level_ground_is_told():
     assert judged([cycle], "B", 0.0, steps=2, **keys).verdict == "gait"
 
 
+def test_a_page_of_states_replaces_no_other_file(file, capsys):
+    table = file.read_text()
+    words = ["check", str(file), "--walker", "D", "--map", "gamma=slope"]
+
+    assert commands.main([*words, "-o", str(file)]) != 0
+
+    assert "is not a file of gaitsweep" in capsys.readouterr().err
+    assert file.read_text() == table
+
+
+def test_angles_in_other_units_leave_the_curves_of_the_picture_their_room():
+    state = gait_of("D", 0.009)
+
+    def ticks(states):
+        text = check_page.page(gaitsweep.check(states, "D", 0.009), "D")
+        return re.findall(r">([0-9.]+)</text>", text)
+
+    assert ticks([state, state * [60, 1, 1]]) == ticks([state, state * [0.9, 1, 1]])
+    assert ticks([state])
+
+
+def test_the_command_says_how_many_steps_a_table_may_claim(file, capsys):
+    words = ["check", str(file), "--walker", "D", "--map", "gamma=slope"]
+
+    assert commands.main([*words, "--steps", "65"]) == 2
+
+    assert "from 1 to 8" in capsys.readouterr().err
+
+
 def test_states_of_passive_walkers_are_refused_on_level_ground():
+    table = {"slope": [0.01, -0.01], "stance_angle": [0.2] * 2}
+    table |= {"stance_rate": [-0.2] * 2, "thigh_rate": [-0.2] * 2}
+    with pytest.raises(gaitsweep.StudyError, match="got -0.01"):
+        gaitsweep.check(table, "B")
+
     with pytest.raises(gaitsweep.StudyError, match="needs a `push_off` or a `hip_torq"):
         gaitsweep.check([[0.2, -0.2, -0.2]], "B", 0.0)

@@ -5,6 +5,7 @@ import json
 import os
 import re
 import time
+from pathlib import Path
 
 import pytest
 
@@ -55,6 +56,37 @@ def test_the_page_of_a_run_tells_stages_until_it_ends_and_costs_a_hundredth(
     # The clock of processor time has ticks of 10 ms.
     assert all(p >= 100 * (s - 0.02) for p, s in zip(pauses, spent, strict=True))
     assert "refresh" not in page.read_text().partition("<style>")[0]
+
+
+def test_a_page_says_no_more_that_a_run_is_in_flight_once_it_is_ended(tmp_path, toy):
+    archive = tmp_path / "toy.nc"
+    companions = Companions(archive)
+    companions.make_folder()
+    companions.events.write_text(json.dumps(_STATE) + "\n")
+    page = tmp_path / "runs.html"
+
+    with lock_archive(archive):
+        watch = toy.start("status", archive, "--page", page)
+        while not page.exists() and watch.poll() is None:
+            time.sleep(0.02)
+        running = page.read_text()
+        watch.terminate()
+        watch.communicate(timeout=60)
+
+    assert (
+        'http-equiv="refresh"' in running
+        and 'http-equiv="refresh"' not in page.read_text()
+    )
+
+
+def test_stopped_runs_have_no_time_to_go():
+    archive = Path("toy.nc")
+    stages = {archive: [("points", 100, 400, 61.0)]}
+
+    stopped = ProgressPage().text(stages, {archive: []})
+    running = ProgressPage().text(stages, {archive: []}, [archive])
+
+    assert "61 s" in running and "61 s" not in stopped
 
 
 def test_a_page_of_runs_replaces_no_file_of_others(tmp_path):

@@ -76,12 +76,41 @@ def test_archives_that_agree_are_said_to_agree(made, copy, capsys):
     assert "They agree." in page.read_text() and "<svg" not in page.read_text()
 
 
-def test_the_page_replaces_no_file_of_others(made, copy, capsys):
+def test_numbers_that_one_archive_lacks_come_first(made, copy, capsys):
+    with netCDF4.Dataset(copy, "a") as file:
+        file["stance_angle"][3, 1, 0] *= 2
+        file["spectral_radius"][9, 1, 0] = np.nan
     page = copy.with_name("page.html")
-    page.write_text("mine")
+
+    commands.main(["diff", str(made), str(copy), "--page", str(page)])
+
+    text = page.read_text()
+    rows = re.findall(r"<tr><td[^>]*>([a-z_]+)<", text)
+    assert rows == ["spectral_radius", "stance_angle"]
+    assert "variables have equal numbers" in text
+
+
+def test_a_page_tells_within_which_tolerance_archives_agree(made, copy, capsys):
+    with netCDF4.Dataset(copy, "a") as file:
+        file["stance_angle"][3, 1, 0] *= 1 + 1e-9
+    page = copy.with_name("page.html")
+    tolerances = ["--rtol", "1e-6", "--rtol", "stance_angle=1e-8"]
+
+    commands.main(["diff", str(made), str(copy), "--page", str(page), *tolerances])
+
+    assert "They agree within 1e-06, stance_angle 1e-08." in page.read_text()
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["mine", '<!doctype html><meta name="generator" content="gaitsweep check">'],
+)
+def test_the_page_replaces_no_file_of_others(made, copy, capsys, content):
+    page = copy.with_name("page.html")
+    page.write_text(content)
 
     code = commands.main(["diff", str(made), str(copy), "--page", str(page)])
 
     error = capsys.readouterr().err
     assert code != 0 and error.count("\n") == 1 and "not a file of gaitsweep" in error
-    assert page.read_text() == "mine"
+    assert page.read_text() == content
