@@ -1,5 +1,7 @@
 """The page of a check of states: its summary, a picture and the verdicts."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import pandas as pd
 
@@ -59,18 +61,11 @@ def _sketch(frame: pd.DataFrame) -> Sketch:
     sketch = Sketch("check", 300)
     (axes,) = sketch.panels
     low, high = _edges(frame["slope"])
-    heights = [frame["stance_angle"][frame["is_gait"]]]
-    for curve in frame.attrs["curves"]:
-        slope, angle = curve["slope"], curve["stance_angle"]
-        # Beyond the edges too, so that curves lead up to them.
-        inside = (slope >= 2 * low - high) & (slope <= 2 * high - low)
-        axes.plot(slope[inside], angle[inside], color=MUTED, lw=1.2)
-        heights.append(pd.Series(angle[inside]))
+    curves = [_between(curve, low, high) for curve in frame.attrs["curves"]]
+    for curve in curves:
+        axes.plot(curve["slope"], curve["stance_angle"], color=MUTED, lw=1.2)
+    bottom, top = _heights(frame, curves)
 
-    # Angles in other units would leave the curves no room: they stand at the edge.
-    known = pd.concat(heights)
-    least, most = _range(known if len(known) else frame["stance_angle"])
-    bottom, top = min(0.0, 1.2 * least), 1.2 * max(most, 0.01)
     found = frame["verdict"].unique().tolist()
     others = [name for name in found if name != "gait"]
     colours = dict(zip(others, inks(others), strict=True))
@@ -84,6 +79,26 @@ def _sketch(frame: pd.DataFrame) -> Sketch:
     sketch.draw_legend(set())
     shown = frame[["slope", "stance_angle", "verdict"]]
     return sketch.finish(shown, summary=frame.attrs["summary"])
+
+
+def _between(curve: Mapping[str, np.ndarray], low: float, high: float) -> pd.DataFrame:
+    """Points of a curve between two slopes, and beyond, so that it leads up to them."""
+    frame = pd.DataFrame(curve)
+    room = high - low
+    return frame[frame["slope"].between(low - room, high + room)]
+
+
+def _heights(
+    frame: pd.DataFrame, curves: Sequence[pd.DataFrame]
+) -> tuple[float, float]:
+    """Least and largest angle of a picture: those of gaits and curves. Angles in other
+    units, which would leave these no room, stand at its edge.
+    """
+    heights = [curve["stance_angle"] for curve in curves]
+    heights.append(frame["stance_angle"][frame["is_gait"]])
+    known = pd.concat(heights)
+    least, most = _range(known if len(known) else frame["stance_angle"])
+    return min(0.0, 1.2 * least), 1.2 * max(most, 0.01)
 
 
 def _draw_states(sketch: Sketch, rows: pd.DataFrame, verdict: str, ink: str) -> None:

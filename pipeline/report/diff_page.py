@@ -97,14 +97,8 @@ def _sketch(compared: Sequence[Numbers]) -> Sketch:
     for axes, numbers in zip(sketch.panels, compared, strict=False):
         along = _along(numbers)
         frame = _along_axis(numbers, along)
-        x, positive = frame["value"], frame[["median", "largest"]].to_numpy()
-        # A difference of 0 has no place on a logarithmic axis.
-        least = 0.1 * positive[positive > 0].min()
-        axes.plot(x, frame["median"].clip(least), color=MUTED, lw=1.0)
-        axes.plot(x, frame["largest"].clip(least), color=LINE, lw=1.4)
-        set_log(axes, "y")
-        _show_a_decade(axes)
-        if along and _is_logarithmic(x.to_numpy()):
+        _draw(axes, frame)
+        if along and _is_logarithmic(frame["value"].to_numpy()):
             set_log(axes, "x")
         axes.set_xlabel(spaced(along))
         set_heading(axes, spaced(numbers.name))
@@ -116,6 +110,17 @@ def _sketch(compared: Sequence[Numbers]) -> Sketch:
     sketch.key("median", MUTED, lw=1.0)
     sketch.draw_legend(set())
     return sketch.finish(sketch.data, abscissa="value", variables=len(compared))
+
+
+def _draw(axes: Axes, frame: pd.DataFrame) -> None:
+    """Draw the largest and the median differences of a variable."""
+    drawn = frame[["largest", "median"]]
+    # A difference of 0 has no place on a logarithmic axis.
+    drawn = drawn.clip(0.1 * drawn[drawn > 0].min(axis=None))
+    axes.plot(frame["value"], drawn["median"], color=MUTED, lw=1.0)
+    axes.plot(frame["value"], drawn["largest"], color=LINE, lw=1.4)
+    set_log(axes, "y")
+    _show_a_decade(axes)
 
 
 def _show_a_decade(axes: Axes) -> None:
