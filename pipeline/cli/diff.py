@@ -30,8 +30,10 @@ def run(options: argparse.Namespace) -> int:
 def _summary(count: int, tolerances: Mapping[str, float]) -> str:
     """How many differences there are, beyond which tolerances."""
     said = [f"{name} {rtol:g}".strip() for name, rtol in tolerances.items() if rtol]
-    given = f" within {', '.join(said)}" if said else ""
+    if not said:
+        return f"Differences: {count}." if count else "They agree."
+
+    limits = ", ".join(said)
     if not count:
-        return f"They agree{given}."
-    beyond = f" beyond {', '.join(said)}" if said else ""
-    return f"Differences{beyond}: {count}."
+        return f"They agree within {limits}."
+    return f"Differences beyond {limits}: {count}."
