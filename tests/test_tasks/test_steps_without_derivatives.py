@@ -30,23 +30,29 @@ def test_residuals_without_derivatives_are_those_with_them(walker):
     """Beside gaits, whose own residuals vanish."""
     problem, Z = _gaits(walker)
     Z[1] += 1e-3
+    equations = Equations(problem)
 
     full = evaluate(problem, Z)
-    alone = Equations(problem).evaluate_values(Z, samples=8)
+    alone = equations.evaluate_values(Z, samples=8)
 
     assert np.abs(full.residual).max() > 1e-5
     assert np.allclose(alone.residual, full.residual, rtol=0, atol=1e-13)
-    assert np.isnan(alone.derivative).all() and np.isnan(alone.jacobians).all()
+    assert np.isnan(alone.derivative).all()
+    assert np.isnan(alone.jacobians).all()
     assert all(len(phase) == 9 for phase in alone.stride.motion)
 
 
 def test_steps_in_a_row_are_evaluated_without_derivatives():
     problem, Z = _gaits("C")
     twice = problem.of_steps(2)
-    times = Z[problem.m : -1]
-    sections = np.vstack([Z[: problem.m], np.ones_like(Z[:1]), Z[1 : problem.m]])
-    sections[1] *= 1.001
-    of_two = np.vstack([sections, times, times + times[-1], Z[-1:]])
+    m = problem.m
+    first = Z[:m].copy()
+    first[1] *= 1.001
+    ratio = np.ones_like(Z[:1])
+    second = Z[1:m]
+    times = Z[m:-1]
+    slopes = Z[-1:]
+    of_two = np.vstack([first, ratio, second, times, times + times[-1], slopes])
 
     full = evaluate(twice, of_two)
     alone = Equations(twice).evaluate_values(of_two)
