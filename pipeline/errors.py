@@ -33,10 +33,8 @@ class GaitsweepError(Exception):
         import traceback
 
         frames = traceback.extract_tb(self.__traceback__)
-        inside = (
-            f"{Path(__file__).parent.parent}{os.sep}",
-            contextlib.__file__,
-        )  # the latter decorates functions
+        # contextlib decorates functions of ours.
+        inside = (f"{Path(__file__).parent.parent}{os.sep}", contextlib.__file__)
         own = list(
             itertools.takewhile(
                 lambda frame: not frame.filename.startswith(inside), frames

@@ -16,18 +16,14 @@ import h5py
 import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5t
 
-_MOST_OBJECTS, _MOST_ATTRIBUTES, _MOST_LEVELS = (
-    1 << 12,
-    1 << 10,
-    8,
-)  # of a file, of an object, of groups in groups
+_MOST_OBJECTS = 1 << 12  # of a file
+_MOST_ATTRIBUTES = 1 << 10  # of an object
+_MOST_LEVELS = 8  # of groups in groups
 _MOST_TEXTS = 16  # of varying length, in an attribute
 _LARGEST_CHUNK = 1 << 26  # [byte]
 _FILTERS = {1, 2, 3}  # deflate, shuffle, fletcher32
-_REFERENCES = (
-    "DIMENSION_LIST",
-    "REFERENCE_LIST",
-)  # attributes by which variables and their dimensions find each other
+# Attributes by which variables and their dimensions find each other.
+_REFERENCES = ("DIMENSION_LIST", "REFERENCE_LIST")
 
 
 def fault(path: Path) -> str:

@@ -200,9 +200,8 @@ class PointWriter:
         """Pieces of a chunk, by variable and place of the gait; its sentences have the
         numbers of the archive.
         """
-        head.unpack(
-            payload, "status"
-        )  # what it says of every point must be readable, whatever its checksum
+        # What it says of every point must be readable, whatever its checksum.
+        head.unpack(payload, "status")
         pieces, reasons = (
             dict[tuple[str, int], Packed](),
             self.sentences.renumbered(head.unpack(payload, "reason")),

@@ -27,10 +27,8 @@ if TYPE_CHECKING:
     from gaitsweep.pipeline.graph.plan import Plan
     from gaitsweep.pipeline.study.model import Study
 
-_BEGINNING, _MAX_HEADER = (
-    '{"commit": ',
-    1 << 22,
-)  # of the provenance in an archive, and where it is [byte]
+_BEGINNING = '{"commit": '  # of the provenance in an archive
+_MAX_HEADER = 1 << 22  # bytes of an archive within which the provenance is
 _FATAL = 128  # with which git ends where there is no working tree, for example
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("gaitsweep", "heyoka", "joblib", "netCDF4", "numpy", "scipy")

@@ -26,16 +26,12 @@ SCHEMA = 2
 # Processor time [s] and speed [byte/s] allowed to read an archive, which may hold much
 # in few bytes.
 _TIMEOUT, _MIN_SPEED = 30.0, 2e5
-_MAX_VALUES, _MAX_POINTS = (
-    1 << 20,
-    1 << 16,
-)  # values, and points of a variable, read at a time
+_MAX_VALUES = 1 << 20  # read at a time
+_MAX_POINTS = 1 << 16  # of a variable, read at a time
 _LITTLE_MEMORY = 1 << 23  # numbers, more than any part that is read at a time
 _MOST_PACKED = 1100  # bytes into one, more than deflate packs
-_MAGIC, _HEADER = (
-    b"\x89HDF\r\n\x1a\n",
-    1 << 16,
-)  # how a netCDF-4 file begins, and where its attributes are [byte]
+_MAGIC = b"\x89HDF\r\n\x1a\n"  # the beginning of a netCDF-4 file
+_HEADER = 1 << 16  # bytes of it within which its attributes are
 
 
 @contextlib.contextmanager
@@ -49,9 +45,8 @@ def open_netcdf(path: Path, mode: Literal["r", "w", "a"] = "r") -> Iterator[Any]
     """
     import netCDF4
 
-    file = netCDF4.Dataset(
-        os.path.join(os.curdir, path), mode
-    )  # the library drops leading blanks
+    # The library drops leading blanks.
+    file = netCDF4.Dataset(os.path.join(os.curdir, path), mode)
     try:
         yield file
         if mode != "r":
@@ -123,9 +118,8 @@ def open_archive(path: Path) -> Iterator[Any]:
         raise ArchiveError(
             f"The netCDF library opens no file of such a name as {path}; name it from its own folder."
         )
-    from gaitsweep.pipeline.archive import (
-        objects,
-    )  # h5py, which it imports, takes longer than most commands
+    # It imports h5py, which takes longer than most commands.
+    from gaitsweep.pipeline.archive import objects
 
     opened = open_netcdf(path)
     try:
@@ -208,9 +202,8 @@ def damage(path: Path) -> str:
     ArchiveError, WorkerError
         If the system does not open it.
     """
-    from gaitsweep.pipeline.archive import (
-        structure,
-    )  # only a fault needs its registry tables
+    # Only a fault needs its registry tables.
+    from gaitsweep.pipeline.archive import structure
 
     try:
         with open_netcdf(path) as file:

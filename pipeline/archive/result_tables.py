@@ -321,13 +321,16 @@ def _positions(case: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
     """
     every, place = np.unique(values, return_inverse=True)
     cases, number = np.unique(case, return_inverse=True)
-    of_each, at = np.unique(
-        number * len(every) + place, return_inverse=True
-    )  # the coordinates of each case
-    if values.dtype.kind != "f" or len(of_each) == len(cases) * len(every):
+    count = len(every)
+
+    # The coordinates of each case, as numbers that order them case by case.
+    of_each, at = np.unique(number * count + place, return_inverse=True)
+    if values.dtype.kind != "f" or len(of_each) == len(cases) * count:
         return place, every
-    first = np.searchsorted(of_each, np.arange(len(cases)) * len(every))
-    own = every[of_each % len(every)]
+
+    starts = np.arange(len(cases)) * count
+    first = np.searchsorted(of_each, starts)
+    own = every[of_each % count]
     return at - first[number], own.reshape(len(cases), -1)
 
 
@@ -339,9 +342,11 @@ def meaning_of(name: str, group: str = "") -> tuple[str, str]:
     known = table_columns()
     if name in registry.VARIABLES and f"{group}/{name}" not in known:
         return registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
+
     own = name.replace("_", " ")
     if name in kinds:
         own = EXTRA_AXES.get(name, f"walker's {name}")
+
     kind, meaning = (
         known.get(f"{group}/{name}")
         or known.get(name)

@@ -57,9 +57,8 @@ class _Parser(argparse.ArgumentParser):
             )
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        print(
-            message, end="", file=file or sys.stderr
-        )  # argparse itself says nothing of help that finds no room
+        # argparse itself says nothing of help that finds no room.
+        print(message, end="", file=file or sys.stderr)
 
 
 class _Version(argparse.Action):
@@ -127,9 +126,8 @@ def _resolved(options: dict[str, Any]) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     terminal.prepare()
-    os.environ.setdefault(
-        "OPENBLAS_NUM_THREADS", "1"
-    )  # to start threads, which none needs, takes a tenth of a second
+    # To start threads, which none needs, takes a tenth of a second.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     words, codes = list(sys.argv[1:] if arguments is None else arguments), list[int]()
     words = words or ["--help"]
     with report_errors(codes, "--debug" in words):

@@ -42,9 +42,8 @@ def run(options: argparse.Namespace) -> int:
             raise StudyError(f"`--push` is given twice for step {step:g}.")
         pushes[int(step) if step.is_integer() else step] = change
     walker, keys = led(options.walker, options.set)
-    ask(
-        "check_walker", {"walker": walker, "set": keys}
-    )  # as a keyword, a wrong one might be another argument
+    # Checked here: as a keyword, a wrong one might be another argument.
+    ask("check_walker", {"walker": walker, "set": keys})
     state = options.state or state_of(
         walker, options.slope, keys, options.gait or "long"
     )

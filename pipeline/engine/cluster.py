@@ -38,10 +38,8 @@ _IDLE_TIMEOUT = 2.0
 # Time to find the scheduler and a first worker, and for which workers may take to load
 # gaitsweep [s].
 _TIMEOUT = 20
-_ANSWER, _CLOSING = (
-    5.0,
-    2,
-)  # time for a scheduler to count its workers, and to take leave of a client [s]
+_ANSWER = 5.0  # time for a scheduler to count its workers [s]
+_CLOSING = 2  # time for it to take leave of a client [s]
 
 
 def _never() -> None:
@@ -154,9 +152,8 @@ def _in_process(n: int) -> Iterator[Any]:
     # Each worker would measure the memory of the whole process.
     worker = {"cls": Worker, "options": {**shared, "nthreads": 1, "memory_limit": 0}}
     with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", "Couldn't detect a suitable IP address"
-        )  # there may be no network
+        # There may be no network.
+        warnings.filterwarnings("ignore", "Couldn't detect a suitable IP address")
         cluster = distributed.SpecCluster(
             workers=dict.fromkeys(range(n), worker),
             scheduler={"cls": Scheduler, "options": shared},

@@ -23,10 +23,8 @@ from gaitsweep.pipeline.engine.division import size_of
 from gaitsweep.pipeline.engine.request import Answer, Request
 from gaitsweep.pipeline.errors import WorkerError
 
-_POLL_INTERVAL, _MAX_CHARGED = (
-    0.1,
-    0.5,
-)  # interval of checks of a worker, and largest time charged to it for one [s]
+_POLL_INTERVAL = 0.1  # of checks of a worker [s]
+_MAX_CHARGED = 0.5  # largest time charged to a worker for one check [s]
 _LOAD_TIMEOUT = 300.0  # time a worker may take to load its task [s]
 _THREADS = (
     "OMP_NUM_THREADS",
@@ -75,10 +73,8 @@ class WorkerProcess:
             )
         finally:
             end.close()
-        self.used = (
-            0.0,
-            0.0,
-        )  # processor time of the last request, and that in integrators [s]
+        # Processor time of the last request, and that in integrators [s].
+        self.used = (0.0, 0.0)
         _workers.add(self)
 
     def close(self) -> int:
@@ -138,9 +134,8 @@ class WorkerProcess:
 
     def _death(self) -> str:
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self.process.wait(
-                5
-            )  # wait for its own exit code instead of that of our signal
+            # Wait for its own exit code instead of that of our signal.
+            self.process.wait(5)
         code = self.close()
         cause = (
             f"of {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"

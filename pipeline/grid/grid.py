@@ -17,10 +17,8 @@ from gaitsweep.pipeline.study.model import Study
 _SECONDS = 0.3  # work in a chunk of points of one line [s]
 _MAX_SHARE = 8  # parts of a point's time limit that a chunk may take
 _FEWEST = 4  # points in a chunk of dear ones
-_TINY, _MOST_TINY = (
-    1e-8,
-    512,
-)  # slopes that may need extended precision [rad], and points in a chunk of those
+_TINY = 1e-8  # slopes that may need extended precision [rad]
+_MOST_TINY = 512  # points in a chunk of such slopes
 # Lines in a chunk of lines side by side: enough to fill registers, few enough to show
 # progress.
 _LINES = 64

@@ -273,9 +273,8 @@ def drawings(source: Source, slug: str) -> tuple[list[Drawing], dict[str, str]]:
     told: set[str] = set()
     for name in wanted:
         try:
-            drawing = draw(
-                source, name, slug, not drawn, told
-            )  # the index shows the first
+            # The index shows the first.
+            drawing = draw(source, name, slug, not drawn, told)
         except Undrawn as why:
             undrawn |= (
                 {name: str(why)} if name in source.figures and name != "claims" else {}

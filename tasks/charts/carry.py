@@ -21,9 +21,8 @@ class Carried:
     def __init__(self, Z: np.ndarray, stride: float):
         self.Z = Z.copy()
         self.stride = np.full(Z.shape[1], stride)
-        self.rate = np.zeros_like(
-            Z
-        )  # of the last steps: a parabola would lead to the other sheet beside a turn
+        # Of the last steps: a parabola would lead to the other sheet beside a turn.
+        self.rate = np.zeros_like(Z)
 
     def advance(
         self,

@@ -218,10 +218,8 @@ def quoted(x: arb) -> tuple[str, str]:
         digits = 60 if spread == 0 else max(3, 4 - math.floor(math.log10(spread)))
         middle = x.mid().str(digits, radius=False, more=True)
         apart = float(abs(x - arb(middle)).upper())
-    return (
-        middle,
-        f"{1.01 * apart:.2e}" if apart else "0",
-    )  # printing takes off half a hundredth at most
+    # Printing takes off half a hundredth at most.
+    return middle, f"{1.01 * apart:.2e}" if apart else "0"
 
 
 def _plain(slope: Any) -> float:

@@ -85,9 +85,8 @@ def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
     engine = figure.get_layout_engine()
     assert engine is not None
     engine.execute(figure)
-    figure.set_layout_engine(
-        None
-    )  # a placeholder would have everything drawn once more before it is written
+    # A placeholder would have everything drawn once more before it is written.
+    figure.set_layout_engine(None)
     svg = _to_svg(figure, f"{salt}/{name}", 160)
     width, height = (float(side) for side in figure.get_size_inches() * 72)
     return Drawing(
