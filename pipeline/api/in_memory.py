@@ -24,7 +24,7 @@ from gaitsweep.pipeline.grid.grid import Chunk
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.statuses import of_atlas
 from gaitsweep.pipeline.store.memory import Memory
-from gaitsweep.pipeline.store.record import (
+from gaitsweep.pipeline.store.points import (
     Points,
     has_multipliers,
     joined,

@@ -32,14 +32,8 @@ from gaitsweep.pipeline.statuses import (
     of_atlas,
 )
 from gaitsweep.pipeline.store.packing import Packed, pack_values
-from gaitsweep.pipeline.store.record import (
-    ChunkCodec,
-    Head,
-    Points,
-    Record,
-    has_multipliers,
-    inner_sizes,
-)
+from gaitsweep.pipeline.store.points import Points, has_multipliers, inner_sizes
+from gaitsweep.pipeline.store.record import ChunkCodec, Head, Record
 from gaitsweep.pipeline.study import units
 from gaitsweep.tasks.contract.accuracy import MANTISSA, significant_bits
 from gaitsweep.tasks.contract.registry import GAITS, VARIABLES, Variable

@@ -43,7 +43,7 @@ from gaitsweep.pipeline.errors import (
 )
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
-from gaitsweep.pipeline.store.record import sentence_number
+from gaitsweep.pipeline.store.points import sentence_number
 from gaitsweep.pipeline.study import corners
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks.contract.registry import VARIABLES

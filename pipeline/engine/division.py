@@ -13,7 +13,8 @@ import numpy as np
 from gaitsweep.pipeline.engine.request import Answer, AtlasAnswer, Request
 from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.statuses import of_atlas
-from gaitsweep.pipeline.store.record import Points, Record, decode, joined
+from gaitsweep.pipeline.store.points import Points, joined
+from gaitsweep.pipeline.store.record import Record, decode
 
 #: Asks for one request, once more if it fails by one of the words that follow; returns
 #: "ok" or a name of `statuses.ENDINGS`, and the parts of the answer or a sentence.

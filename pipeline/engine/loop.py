@@ -116,7 +116,7 @@ class Loop:
         """Studies with a node that is ready; the first is that whose node, with the
         longest chain of others that wait for it, takes longest.
         """
-        ready = [(work, node) for work in self.works if (node := work.next())]
+        ready = [(work, node) for work in self.works if (node := work.peek())]
         ready.sort(key=lambda pair: -pair[0].seconds(pair[1]))
         return [work for work, _ in ready]
 

@@ -61,9 +61,9 @@ class Work:
     @property
     def is_over(self) -> bool:
         """Whether nothing is left to do."""
-        return self.next() is None and not self.taken
+        return self.peek() is None and not self.taken
 
-    def next(self) -> Node | None:
+    def peek(self) -> Node | None:
         """The next node that is ready; None if there is none now."""
         try:
             while not self._ready and not self.error and (node := self._drawn()):
@@ -167,22 +167,14 @@ class Work:
     def request(self, node: Node) -> Request:
         """What a worker is asked for a node that was taken."""
         graph, limits = self.plan.graph, self.plan.study.limits
-        codec, alone, most = None, None, self.most
-        if node.chunk:
-            codec = ChunkCodec(
-                node.chunk.shape,
-                graph.grid.multipliers,
-                self.plan.study.gaits,
-                is_archived=not graph.in_memory,
-                keys=graph.grid.keys,
-            )
-            tasks = (graph.layers[name].task for name in ("atlas", "points"))
-            atlas, points = (task.function for task in tasks)
-            alone = atlas, points
+        codec = self._codec(node) if node.chunk else None
+        alone = self._alone() if node.chunk else None
+        most = self.most
         if graph.method in (Method.PLANE, Method.TARGETS):
             # Lines keep their charts or branches, and a few points take as long as
             # many.
-            alone, most = None, most and max(most, PLANE_POINTS[0])
+            alone = None
+            most = most and max(most, PLANE_POINTS[0])
         return Request(
             graph.function(node),
             graph.params(node),
@@ -194,6 +186,25 @@ class Work:
             most=most,
             together=self._together(node),
         )
+
+    def _codec(self, node: Node) -> ChunkCodec:
+        """By which a worker packs the points of a chunk."""
+        assert node.chunk
+        graph = self.plan.graph
+        return ChunkCodec(
+            node.chunk.shape,
+            graph.grid.multipliers,
+            self.plan.study.gaits,
+            is_archived=not graph.in_memory,
+            keys=graph.grid.keys,
+        )
+
+    def _alone(self) -> tuple[str, str]:
+        """Functions that compute the atlas of a line of a chunk, and its points, by
+        themselves.
+        """
+        layers = self.plan.graph.layers
+        return layers["atlas"].task.function, layers["points"].task.function
 
     def _together(self, node: Node) -> str:
         """Function that computes such an atlas beside others."""
@@ -215,26 +226,26 @@ class Work:
     def record(self, node: Node, answer: Answer) -> None:
         """Store the answer for a node that was taken."""
         self.account.add(answer)
-        self._store(node, answer)
+        self._keep(node, answer)
 
     def copy(self, node: Node, answer: Answer) -> None:
         """Store the answer for a node that was taken, which another study has asked
         for.
         """
-        self._store(node, Answer(data=answer.data))
+        self._keep(node, Answer(data=answer.data))
 
-    def _store(self, node: Node, answer: Answer) -> None:
+    def _keep(self, node: Node, answer: Answer) -> None:
         self.taken -= 1
         if self.error:
             return
         try:
-            finished = self._stored(node, answer)
+            finished = self._put(node, answer)
             for listener in self.listeners:
                 listener.finished(finished)
         except Exception as error:
             self.fail(error)
 
-    def _stored(self, node: Node, answer: Answer) -> Finished:
+    def _put(self, node: Node, answer: Answer) -> Finished:
         store, graph = self.plan.store, self.plan.graph
         if not answer.record:
             outcome = Outcome(answer.status, answer.reason)

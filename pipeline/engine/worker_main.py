@@ -149,7 +149,7 @@ def packed(
 
     if codec is None:
         return [serialize.dump(returned)]
-    from gaitsweep.pipeline.store.record import Points
+    from gaitsweep.pipeline.store.points import Points
 
     record = codec.encode(Points.of_task(returned, params))
     atlases = [atlas for atlas, _ in returned] if params.get("atlases") else []

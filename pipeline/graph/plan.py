@@ -54,10 +54,13 @@ class Plan:
         """Missing nodes over chunks and lines, inputs first; any leading part of them
         samples the study evenly.
         """
-        node = None
-        for node in () if self._is_complete else self._missing():
+        if self._is_complete:
+            return
+        is_none_missing = True
+        for node in self._missing():
+            is_none_missing = False
             yield node
-        self._is_complete = node is None
+        self._is_complete = is_none_missing
 
     def _missing(self) -> Iterator[Node]:
         if self.graph.method.is_of_lines:

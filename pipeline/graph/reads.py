@@ -10,7 +10,7 @@ import numpy as np
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.statuses import NOT_ATTEMPTED
-from gaitsweep.pipeline.store.record import Points, joined
+from gaitsweep.pipeline.store.points import Points, joined
 from gaitsweep.tasks.contract.registry import GAITS, READS, VARIABLES
 
 _MAX_SLOPES = 20_000  # slopes of a line that a task over the study reads, evenly spaced

@@ -2,17 +2,15 @@
 
 A head lists the contents; the pieces, one for each variable and gait, follow each other
 in the payload. Writers of archives copy them unopened; readers of the values unpack
-them. A sentence is known by a number made from its text, until the archive numbers
-those that it holds.
+them.
 """
 
 import dataclasses
 import functools
-import hashlib
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,144 +19,17 @@ from numpy import ndarray
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.outcomes import count_rows
-from gaitsweep.pipeline.statuses import ANSWERS, ENDINGS, OF_GAITS
+from gaitsweep.pipeline.statuses import ANSWERS, OF_GAITS
 from gaitsweep.pipeline.store.packing import Packed, pack_values, unpack
-from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
-
-#: Type of the numbers of sentences.
-_REASON = np.dtype("u8")
-
-
-@functools.lru_cache(4096)
-def sentence_number(sentence: str) -> int:
-    """Number that stands for a sentence."""
-    digest = hashlib.blake2b(sentence.encode(), digest_size=8).digest()
-    return int.from_bytes(digest, "little")
-
-
-def _dtype_of(name: str) -> np.dtype:
-    """Type of a variable in a record."""
-    return _REASON if name == "reason" else np.dtype(VARIABLES[name].dtype)
-
-
-@dataclass
-class Points:
-    """Points, line by line.
-
-    Attributes
-    ----------
-    values : dict of ndarray, shape (n, gaits[, multipliers])
-        `status` and `reason`, of all gaits; the other variables perhaps without
-        trailing gaits that do not exist.
-    sentences : dict
-        Sentences of `reason`, by their numbers.
-    """
-
-    values: dict[str, ndarray]
-    sentences: dict[int, str] = field(default_factory=dict)
-
-    def __len__(self) -> int:
-        return len(self.values["status"])
-
-    @classmethod
-    def of_task(cls, returned: Any, params: Mapping[str, Any]) -> "Points":
-        """What a task with these parameters returns for a chunk of a line, or of lines
-        side by side with their atlases.
-
-        Raises
-        ------
-        ValueError
-            If a variable has not the shape of the points, or they are not those of the
-            lines.
-        """
-        results = [returned]
-        if "lines" in params:
-            results = [result for _, result in returned]
-        parts = [cls._of_result(result, params["want"]) for result in results]
-        points = joined(parts) if len(parts) > 1 else parts[0]
-
-        count = len(params.get("lines", [None])) * len(params["slope"])
-        if len(points) != count:
-            raise ValueError(f"{len(points)} points are returned of {count}")
-        return points
-
-    @classmethod
-    def _of_result(cls, result: Mapping[str, Any], want: Iterable[str]) -> "Points":
-        """What a task returns for points of a line."""
-        others = [name for name in want if name not in ("status", "reason")]
-        values: dict[str, ndarray] = {}
-        for name in ("status", *others):
-            array = np.asarray(result[name], VARIABLES[name].dtype)
-            values[name] = array
-            shape = values["status"].shape
-            if array.shape[:2] != shape:
-                raise ValueError(f"`{name}` has shape {array.shape}, `status` {shape}")
-
-        sentences = [str(sentence) for sentence in result["reasons"]] or [""]
-        numbers = [sentence_number(sentence) for sentence in sentences]
-        reason = np.asarray(result["reason"])
-        values["reason"] = np.array(numbers, _REASON)[reason]
-
-        occurrences = np.bincount(reason.ravel(), minlength=len(sentences))
-        occurs = np.flatnonzero(occurrences).tolist()
-        return cls(values, {numbers[k]: sentences[k] for k in occurs})
-
-    @classmethod
-    def of_ending(
-        cls,
-        points: int,
-        ending: str,
-        reason: str,
-        want: Iterable[str],
-    ) -> "Points":
-        """Points whose worker ended so, a name of `statuses.ENDINGS`."""
-        values = {}
-        for name in want:
-            inner = [0 for _ in inner_sizes(name, 0, 0)]
-            values[name] = np.empty((points, 0, *inner), _dtype_of(name))
-
-        number = sentence_number(reason)
-        shape = (points, len(GAITS))
-        values["status"] = np.full(shape, ENDINGS[ending], np.int8)
-        values["reason"] = np.full(shape, number, _REASON)
-        return cls(values, {number: reason})
-
-    def take(self, rows: ndarray) -> "Points":
-        """Some of the points, in that order."""
-        if np.array_equal(rows, np.arange(len(self))):
-            return self
-        values = {name: array[rows] for name, array in self.values.items()}
-        return Points(values, self.sentences)
-
-
-def joined(parts: Sequence[Points], least: tuple[int, int] = (0, 0)) -> Points:
-    """Points one after the other; of a variable as many gaits and multipliers as any
-    part has, and at least so many.
-    """
-    sentences: dict[int, str] = {}
-    for part in parts:
-        sentences.update(part.sentences)
-
-    values = {}
-    for name in parts[0].values:
-        arrays = [part.values[name] for part in parts]
-        inner = [array.shape[1:] for array in arrays]
-        sizes = zip(least[: len(inner[0])], *inner, strict=True)
-        shape = tuple(map(max, sizes))
-        widened = [_widened(name, array, shape) for array in arrays]
-        values[name] = np.concatenate(widened) if len(widened) > 1 else widened[0]
-    return Points(values, sentences)
-
-
-def _widened(name: str, values: ndarray, shape: tuple[int, ...]) -> ndarray:
-    """Values of points with so many gaits and multipliers, of which the last are
-    absent.
-    """
-    if values.shape[1:] == shape:
-        return values
-    whole = np.full((len(values), *shape), VARIABLES[name].absent, values.dtype)
-    whole[(slice(None), *map(slice, values.shape[1:]))] = values
-    return whole
+from gaitsweep.pipeline.store.points import (
+    REASON,
+    Points,
+    dtype_of,
+    has_multipliers,
+    inner_sizes,
+    widened,
+)
+from gaitsweep.tasks.contract.registry import VARIABLES
 
 
 class Record(NamedTuple):
@@ -226,7 +97,7 @@ class ChunkCodec:
     def _pieces(self, name: str, array: ndarray, columns: int) -> list[Packed]:
         """Pack a variable, gait by gait."""
         if has_multipliers(name):
-            array = _widened(name, array, (array.shape[1], self.multipliers))
+            array = widened(name, array, (array.shape[1], self.multipliers))
         if "key" in VARIABLES[name].dims:
             array = array[..., : self.keys]
         extent = _extent(name, self.shape, self.multipliers, self.keys)
@@ -241,7 +112,7 @@ def _counted(points: Points) -> dict[str, ndarray]:
     which sentences their gaits have.
     """
     rows = count_rows(points.values["status"])
-    numbers = np.array(sorted(points.sentences), _REASON)
+    numbers = np.array(sorted(points.sentences), REASON)
     sentences = [points.sentences[number] for number in numbers.tolist()]
     used = [np.isin(numbers, column) for column in points.values["reason"].T]
     return {
@@ -255,19 +126,6 @@ def _counted(points: Points) -> dict[str, ndarray]:
 
 def _extent(name: str, shape: Shape, multipliers: int, keys: int) -> tuple[int, ...]:
     return (*shape.extent, *inner_sizes(name, multipliers, keys))
-
-
-def inner_sizes(name: str, multipliers: int, keys: int) -> tuple[int, ...]:
-    """Sizes of the dimensions of a variable after the gait, of walkers with so many
-    multipliers, differentiated by so many keys.
-    """
-    sizes = {"multiplier": multipliers, "key": keys}
-    return tuple(sizes[dim] for dim in VARIABLES[name].dims[1:])
-
-
-def has_multipliers(name: str) -> bool:
-    """Whether a variable has a value for each multiplier."""
-    return "multiplier" in VARIABLES[name].dims
 
 
 @dataclass(frozen=True)
@@ -391,7 +249,7 @@ class Head:
         extent = _extent(name, self.shape, self.multipliers, self.keys)
         points = math.prod(self.shape.sizes)
         more = extent[len(self.shape.extent) :]
-        dtype = _dtype_of(name)
+        dtype = dtype_of(name)
         columns: list[ndarray] = []
         for gait in range(self.columns[name]):
             piece = self.piece(payload, name, gait)

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.statuses import ENDINGS
-from gaitsweep.pipeline.store.record import Head, Points, Record, decode
+from gaitsweep.pipeline.store.points import Points
+from gaitsweep.pipeline.store.record import Head, Record, decode
 
 
 class Outcome(NamedTuple):

@@ -20,7 +20,8 @@ from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid.costs import of_point
 from gaitsweep.pipeline.grid.method import variables
 from gaitsweep.pipeline.store.journal import Journal
-from gaitsweep.pipeline.store.record import Points, Record
+from gaitsweep.pipeline.store.points import Points
+from gaitsweep.pipeline.store.record import Record
 from gaitsweep.pipeline.store.store import Outcome
 from gaitsweep.pipeline.study import parse
 from gaitsweep.pipeline.study.model import Lines

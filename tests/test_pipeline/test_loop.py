@@ -18,7 +18,7 @@ from gaitsweep.pipeline.engine.places import Inline, Workers
 from gaitsweep.pipeline.engine.request import Answer, Request
 from gaitsweep.pipeline.errors import StoppedError, StudyError, WorkerError
 from gaitsweep.pipeline.store.memory import Memory
-from gaitsweep.pipeline.store.record import Points
+from gaitsweep.pipeline.store.points import Points
 from gaitsweep.pipeline.store.store import Outcome
 
 #: Three lines, of each an atlas and its branches.
@@ -80,13 +80,13 @@ class Told(Listener):
 def test_a_task_waits_for_what_it_needs(tmp_path):
     work = work_of(LINES.format("s"))
     atlases = []
-    while work.next():
+    while work.peek():
         atlases.append(work.take())
     assert [node.task for node in atlases] == ["atlas"] * 3 and not work.is_over
 
     work.record(atlases[1], Answer())
 
-    branch = work.next()
+    branch = work.peek()
     assert (branch.task, branch.line) == ("branch", atlases[1].line)
     assert branch.needs == (atlases[1].key,)
 
@@ -119,13 +119,13 @@ def test_points_are_lost_with_what_they_need():
 def test_what_has_become_ready_goes_first():
     """Results of a line are seen before those of all lines are there."""
     work = work_of(LINES.format("s"))
-    assert work.next().task == "atlas"
+    assert work.peek().task == "atlas"
     first = work.take()
-    assert work.next().task == "atlas"
+    assert work.peek().task == "atlas"
 
     work.record(first, Answer())
 
-    assert (work.next().task, work.next().line) == ("branch", first.line)
+    assert (work.peek().task, work.peek().line) == ("branch", first.line)
     place = Answering(ok, slots=1)
     run_all([work_of(LINES.format("s"))], place)
     assert [name for name, _ in asked(place)] == ["atlas", "branch"] * 3
@@ -134,7 +134,7 @@ def test_what_has_become_ready_goes_first():
 def test_a_study_is_over_when_nothing_is_taken_either():
     work = work_of(LINES.format("s"))
     nodes = []
-    while not work.is_over and work.next():
+    while not work.is_over and work.peek():
         nodes.append(work.take())
     assert not work.is_over
     for node in nodes:
@@ -144,12 +144,12 @@ def test_a_study_is_over_when_nothing_is_taken_either():
 
 def test_a_study_that_ends_with_an_error_has_no_other_job():
     work = work_of(LINES.format("s"))
-    work.next()
+    work.peek()
     node = work.take()
 
     work.fail(StudyError("The disk is full."))
 
-    assert work.next() is None and not work.is_over
+    assert work.peek() is None and not work.is_over
     work.record(node, Answer())
     assert work.is_over and not work.plan.store
 

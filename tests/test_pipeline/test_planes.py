@@ -333,7 +333,7 @@ def test_charts_that_were_never_packed_are_damage(tmp_path):
 def test_damage_met_when_a_result_is_copied_ends_that_study_alone(tmp_path):
     with contextlib.closing(Journal(tmp_path / "j")) as store:
         work = Work(Plan(read(written(tmp_path, HALVED)), store))
-        assert work.next().task == "charts"
+        assert work.peek().task == "charts"
         work.copy(work.take(), Answer(data=b"\xff" * 20))
         assert isinstance(work.error, CorruptStoreError) and work.is_over
 

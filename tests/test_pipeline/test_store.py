@@ -20,15 +20,8 @@ from gaitsweep.pipeline.store import file, journal
 from gaitsweep.pipeline.store.file import CorruptStoreError, forget, repair
 from gaitsweep.pipeline.store.journal import Journal
 from gaitsweep.pipeline.store.memory import Memory
-from gaitsweep.pipeline.store.record import (
-    ChunkCodec,
-    Head,
-    Points,
-    Record,
-    decode,
-    joined,
-    sentence_number,
-)
+from gaitsweep.pipeline.store.points import Points, joined, sentence_number
+from gaitsweep.pipeline.store.record import ChunkCodec, Head, Record, decode
 from gaitsweep.pipeline.store.store import Outcome
 from processes import damaged
 

@@ -21,7 +21,7 @@ from gaitsweep.pipeline.engine.work import Work
 from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid import grid
 from gaitsweep.pipeline.store.memory import Memory
-from gaitsweep.pipeline.store.record import Points
+from gaitsweep.pipeline.store.points import Points
 from processes import companions
 
 PEAK = "slope = { from = 0.01, to = 0.2, n = 40000 }"
