@@ -170,7 +170,8 @@ def _charts_params(
 ) -> dict[str, Any]:
     """Parameters of charts over the plane of a line, or a box."""
     assert study.plane
-    varied = study.plane.region["keys"]
+    varied = [*study.plane.region["keys"]]
+    varied += [axis.name for axis in study.scaling]
     fixed = {key: value for key, value in line["set"].items() if key not in varied}
     window = {**_window(study), "slopes": about(len(study.values_along))}
     of_plane = {**line, "set": fixed}

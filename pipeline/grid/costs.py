@@ -59,7 +59,8 @@ def seconds(study: Study, name: str, method: Method) -> float:
             len(study.plane.axes) * _total(study, COSTS["charts"]) / study.plane.lines
         )
     if name == "design":
-        designs, cells = study.lines / study.batches, int(study.plane is not None)
+        designs = study.lines / study.alike / study.batches
+        cells = int(study.plane is not None)
         own = _total(study, COSTS["design of a plane" if cells else "design"])
         return own * designs + cells * _total(study, COSTS["plane of designs"])
     if name == "atlas":

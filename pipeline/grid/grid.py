@@ -11,7 +11,7 @@ import numpy as np
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.boxes import MOST_POINTS, box_shape
 from gaitsweep.pipeline.grid.choose_method import method_of
-from gaitsweep.pipeline.grid.method import Method
+from gaitsweep.pipeline.grid.method import Method, scaling_axes
 from gaitsweep.pipeline.study.model import Study
 
 _SECONDS = 0.3  # work in a chunk of points of one line [s]
@@ -220,20 +220,33 @@ class Grid:
         """
         slopes = len(self.study.values_along)
         along = self.study.along
-        each = dict.fromkeys(self.line_dims, 1)
-        if self.method is Method.PLANE and self.study.plane:
-            fewest, most = (points // slopes for points in PLANE_POINTS)
-            lines = max(_LINES, fewest, self.study.lines // _PLANE_CHUNKS)
-            tile = _tile(self.study.plane.axes, min(lines, most))
-            return {**each, **tile, along: slopes}
         if self.method.is_of_lines:
-            own = {name: self.sizes[name] for name in self.line_dims}
-            shape = zip(own, box_shape(own, _LINES), strict=True)
-            return {**dict(shape), along: slopes}
+            return {**self._extent_of_lines(slopes), along: slopes}
+        each = dict.fromkeys(self.line_dims, 1)
         if in_memory:
             return {**each, along: slopes}
         chunks = math.ceil(slopes / self._most_points())
         return {**each, along: math.ceil(slopes / chunks)}
+
+    def _extent_of_lines(self, slopes: int) -> dict[str, int]:
+        """Size of a chunk of many lines along all dimensions but that of slopes.
+
+        Lines that differ only in their units are solved once: a chunk holds as many of
+        these as it can, of each line that it has.
+        """
+        scaling = {axis.name: len(axis) for axis in scaling_axes(self.study)}
+        alike = math.prod(scaling.values())
+        own = {name: self.sizes[name] for name in self.line_dims if name not in scaling}
+        if self.method is Method.PLANE and self.study.plane:
+            fewest, most = (points // slopes for points in PLANE_POINTS)
+            most = max(fewest, min(most, MOST_POINTS // (slopes * alike)))
+            lines = max(_LINES, fewest, self.study.lines // alike // _PLANE_CHUNKS)
+            tile = _tile(self.study.plane.axes, min(lines, most))
+            extent = dict.fromkeys(own, 1) | tile
+        else:
+            extent = dict(zip(own, box_shape(own, _LINES), strict=True))
+        left = max(1, MOST_POINTS // (slopes * math.prod(extent.values())))
+        return extent | dict(zip(scaling, box_shape(scaling, left), strict=True))
 
     def _most_points(self) -> int:
         """Most points of a chunk of one line: those of about `_SECONDS`."""

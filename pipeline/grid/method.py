@@ -6,7 +6,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from gaitsweep.pipeline.study.model import Study
+from gaitsweep.pipeline.study.model import Axis, Study
 from gaitsweep.tasks.contract import accuracy
 from gaitsweep.tasks.contract.registry import READS, SHORT_LINE, TASKS, VARIABLES
 
@@ -52,6 +52,12 @@ def variables(study: Study) -> tuple[str, ...]:
     for reader in _readers(study):
         named.update(READS.get(reader, ()))
     return accuracy.computed(named, study.accuracy)
+
+
+def scaling_axes(study: Study) -> tuple[Axis, ...]:
+    """Axes along which the gaits of a grid are solved once, and converted."""
+    is_converted = accuracy.is_converted(variables(study), study.accuracy)
+    return study.scaling if is_converted else ()
 
 
 def is_interpolated(study: Study) -> bool:

@@ -50,11 +50,13 @@ def check_walkers(
 
 def _together(known: dict[str, Any], check: dict[str, Any]) -> dict[str, Any]:
     """What is known of a walker after another corner: what it has at any corner, it has
-    on some lines.
+    on some lines; what changes only units at one corner must at all.
     """
     features = dict.fromkeys((*known["features"], *check["features"]))
+    scaling = (key for key in check["scaling"] if key in known["scaling"])
     return {
         **check,
+        "scaling": tuple(scaling),
         "features": tuple(features),
         "driven": known["driven"] or check["driven"],
         "massless_leg": known["massless_leg"] or check["massless_leg"],

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from gaitsweep.tasks.contract.accuracy import is_converted
 from gaitsweep.tasks.contract.registry import DRIVES, OVER_DRIVE, VARIED, WINDOWED
 
 #: A walker as studies define it: its name, or the table of its keys.
@@ -254,15 +255,37 @@ class Study:
         return frozenset(name for check in self.checks for name in check["features"])
 
     @functools.cached_property
+    def scaling(self) -> tuple[Axis, ...]:
+        """The axes that change nothing but the units of its walkers, if gaits of walkers
+        that differ in units are one to the solver.
+        """
+        if self.at or not is_converted(self.variables, self.accuracy):
+            return ()
+        keys = [check.get("scaling", ()) for check in self.checks]
+        return tuple(
+            axis
+            for axis in self.line_axes
+            if keys and all(axis.name in each for each in keys)
+        )
+
+    @property
+    def alike(self) -> int:
+        """Number of its lines that differ from one only in their units, itself too."""
+        return math.prod(map(len, self.scaling))
+
+    @functools.cached_property
     def plane(self) -> Plane | None:
         """The longest one or two axes of keys, if they hold enough lines for gaits to
         be interpolated over them.
         """
         names = [check.get("smooth", ()) for check in self.checks]
+        scaling = [axis.name for axis in self.scaling]
         axes = [
             a
             for a in self.line_axes
-            if len(a) > 1 and all(a.name in each for each in names)
+            if len(a) > 1
+            and a.name not in scaling
+            and all(a.name in each for each in names)
         ]
         axes = sorted(axes, key=len)[-2:]
         of_designs = self.kind == "design"
@@ -289,19 +312,17 @@ class Study:
         if self.kind != "design":
             return np.array([number])
         cell, part = divmod(number, self._batches_each)
-        most = _MAX_CELL_DESIGNS if self.plane else _MAX_SURVEYED_DESIGNS
+        most = self._most_designs
         numbers = cell * self._designs + np.arange(
             part * most, min((part + 1) * most, self._designs)
         )
-        # With the keys of the plane last, the designs of a cell follow each other.
-        inner = [axis.name for axis in self.plane.axes] if self.plane else []
-        order = [
-            0,
-            *sorted(
-                range(1, len(self.line_shape)),
-                key=lambda k: self.line_axes[k - 1].name in inner,
-            ),
-        ]
+        # With the keys of the plane last, the designs of a cell follow each other, and
+        # with those that change only units after these, those that are solved once.
+        plane = [axis.name for axis in self.plane.axes] if self.plane else []
+        depth = dict.fromkeys(plane, 1) | {axis.name: 2 for axis in self.scaling}
+        axes = range(1, len(self.line_shape))
+        names = [axis.name for axis in self.line_axes]
+        order = [0, *sorted(axes, key=lambda k: depth.get(names[k - 1], 0))]
         at = np.unravel_index(numbers, [self.line_shape[k] for k in order])
         return np.ravel_multi_index([at[k] for k in np.argsort(order)], self.line_shape)
 
@@ -321,14 +342,20 @@ class Study:
     @property
     def _designs(self) -> int:
         """Designs of a cell, or of a walker where there are no cells."""
-        return self.plane.lines if self.plane else self.lines // len(self.walkers)
+        if self.plane:
+            return self.plane.lines * self.alike
+        return self.lines // len(self.walkers)
+
+    @property
+    def _most_designs(self) -> int:
+        """Most designs of a job."""
+        if self.plane:
+            return _MAX_CELL_DESIGNS
+        return min(_MAX_SURVEYED_DESIGNS * self.alike, _MAX_CELL_DESIGNS)
 
     @property
     def _batches_each(self) -> int:
-        return -(
-            -self._designs
-            // (_MAX_CELL_DESIGNS if self.plane else _MAX_SURVEYED_DESIGNS)
-        )
+        return -(-self._designs // self._most_designs)
 
     def name_of(self, number: int) -> str:
         """Label of the walker of a line."""

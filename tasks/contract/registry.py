@@ -74,7 +74,7 @@ TASKS = {
             needs=("atlas",),
         ),
         Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 2),
-        Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 10),
+        Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 11),
         Task(
             "trace", "gaitsweep.tasks.studies.trace_motion:trace", 7, needs=("atlas",)
         ),
@@ -100,7 +100,7 @@ TASKS = {
         Task(
             "curve", "gaitsweep.tasks.studies.follow_curves:curve", 24, needs=("atlas",)
         ),
-        Task("design", "gaitsweep.tasks.studies.map_designs:design", 26),
+        Task("design", "gaitsweep.tasks.studies.map_designs:design", 27),
         Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 1),
         Task("census", "gaitsweep.tasks.studies.count_gaits:census", 18),
         Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 2),
@@ -245,7 +245,7 @@ CALLS = {
     "tune": "gaitsweep.tasks.walkers.tuning:tune",
     "untuned": "gaitsweep.tasks.walkers.tuning:untuned",
     "why_no_key": "gaitsweep.tasks.walkers.resolve:why_no_key",
-    "check_walker": "gaitsweep.tasks.walkers.resolve:check",
+    "check_walker": "gaitsweep.tasks.walkers.properties:check",
     "check_optimum": "gaitsweep.tasks.studies.check_optimum:check",
     "scaled": "gaitsweep.tasks.walkers.scaling:scaled",
     "search_words": "gaitsweep.tasks.studies.solve_points:search_words",

@@ -39,6 +39,7 @@ from gaitsweep.tasks.studies.request import Request
 from gaitsweep.tasks.studies.solve_planes import Plane, make_charts, solve_plane
 from gaitsweep.tasks.studies.solve_points import solve_line
 from gaitsweep.tasks.walkers.resolve import resolve_many
+from gaitsweep.tasks.walkers.scaling import scaling
 from gaitsweep.tasks.walkers.statics import are_tuned
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
@@ -89,9 +90,11 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
     Notes
     -----
-    The row of a design depends on the design and its cell alone.
+    The row of a design depends on the design and its cell alone. Of designs that differ
+    only in their units one is solved.
     """
-    designs = _Designs.of(params["line"])
+    every = _Designs.of(params["line"])
+    designs, which = every.alike()
     slope = np.log(np.asarray(params["slope"], float))
     window = float(slope.min()), float(slope.max())
     options = registry.options("design", params)
@@ -103,7 +106,7 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     if at_slope is not None:
         request = Request.of({"slope": [at_slope], "want": _GAIT})
 
-    rows = _Rows(designs.n, sought)
+    rows = _Rows(designs.n + 1, sought)
     if plane:
         accepted = _over_plane(designs, plane, rows)
         _survey(designs, np.flatnonzero(~accepted), rows)
@@ -113,7 +116,9 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     if request:
         _disturb(designs.walkers, gaits, at_slope, options["ground"], rows)
 
-    columns = rows.columns(designs.walkers) | rows.further(options)
+    rows = rows.some(which)
+    with np.errstate(invalid="ignore"):  # of walkers that cannot be
+        columns = rows.columns(every.walkers) | rows.further(options)
     return {f"design/{name}": values for name, values in columns.items()}
 
 
@@ -136,6 +141,33 @@ class _Designs:
         n = max((len(value) for value in values.values()), default=1)
         keys = {key: np.broadcast_to(value, n) for key, value in values.items()}
         return cls(line, keys, _walkers(line["walker"], keys, n), n)
+
+    def alike(self) -> tuple[_Designs, np.ndarray]:
+        """Return the designs without the keys that change only units, each once, and
+        the number of each of these walkers among them, (n,): of those that cannot be
+        one more than there are.
+        """
+        which = np.arange(self.n)
+        possible = _possible(self.walkers, which)
+        if not possible:
+            return self, which
+        first = next(iter(possible))
+        line = self.line_of(first)
+        scales = scaling(possible[first], line)
+        if not scales:
+            return self, which
+
+        keys = [key for key in self.keys if key not in scales]
+        valid = np.array([*possible])
+        values = [np.zeros(len(valid)), *(self.keys[key][valid] for key in keys)]
+        distinct, places = np.unique(
+            np.column_stack(values), axis=0, return_inverse=True
+        )
+        which = np.full(self.n, len(distinct))
+        which[valid] = places.ravel()
+        own = dict(zip(keys, distinct.T[1:], strict=True))
+        walkers = _walkers(self.line["walker"], own, len(distinct))
+        return _Designs(self.line, own, walkers, len(distinct)), which
 
     def line_of(self, design: int) -> dict[str, Any]:
         """Return the line of one design."""
@@ -307,7 +339,7 @@ def _solve(
 
 
 class _Rows:
-    """Rows of the table, one for each of n designs.
+    """Rows of the table, one for each of n designs, without units.
 
     `at` has what is known of the point at which each quantity is reached: logarithms of
     slope and speed, over sqrt(g leg), their errors, its `kind`, or why there is none,
@@ -355,6 +387,16 @@ class _Rows:
                     at[column][numbers[there]] = values
         if any_slope:
             self.at["smallest_slope"]["kind"][numbers[kept]] = ANY_SLOPE
+
+    def some(self, numbers: np.ndarray) -> _Rows:
+        """Return the rows of some designs, (k,)."""
+        rows = _Rows(len(numbers), self.sought)
+        for name, at in self.at.items():
+            rows.at[name] = {column: values[numbers] for column, values in at.items()}
+        rows.surveyed = self.surveyed[numbers]
+        rows.attractor = self.attractor[numbers]
+        rows.steps = self.steps[:, numbers]
+        return rows
 
     def further(self, options: Mapping[str, Any]) -> Arrays:
         """The columns that options ask for."""

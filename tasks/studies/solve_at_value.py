@@ -39,8 +39,8 @@ from gaitsweep.tasks.studies.solve_at_slope import WANT, answer, record
 from gaitsweep.tasks.studies.solve_driven import LOWEST, branches_over_any_slope
 from gaitsweep.tasks.studies.solve_guesses import Solved, solve_guesses
 from gaitsweep.tasks.studies.solve_points import survey
+from gaitsweep.tasks.walkers.properties import check
 from gaitsweep.tasks.walkers.resolve import (
-    check,
     value_of_key,
     walker_of_line,
     walkers_over,
@@ -182,7 +182,7 @@ def check_target(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        What `tasks.walkers.resolve:check` returns, with `sought`, the keys of the
+        What `tasks.walkers.properties:check` returns, with `sought`, the keys of the
         walker that are varied or move with what is.
 
     Raises

@@ -38,7 +38,9 @@ from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.studies.interpolate import interpolate, sheets
 from gaitsweep.tasks.studies.request import Request
 from gaitsweep.tasks.studies.solve_guesses import Solved, block_size, solve_guesses
-from gaitsweep.tasks.studies.solve_points import solve_lines
+from gaitsweep.tasks.studies.solve_points import in_units_of, solve_lines
+from gaitsweep.tasks.walkers.resolve import walker_of_line
+from gaitsweep.tasks.walkers.scaling import plain_line, scaling
 
 #: Smallest error assumed for the ends of pieces, in ln slope.
 _MIN_END_ERROR = 1e-9
@@ -258,12 +260,10 @@ def solve_plane(
     dict
         What `tasks.studies.solve_points:points` returns, line by line.
     """
-    family = Family.of(lines[0], plane.keys)
-    box = plane.box
-    out, accepted = _by_charts(family, lines, box, request, charts)
+    out, accepted = _by_charts(lines, plane, request, charts)
     to_accuracy(_joined(out), request.wanted.accuracy)
 
-    reasons = _reasons(family, box)
+    reasons = _reasons(plane.box)
     sentences = dict[str, int]()
     for numbers, at in _not_accepted(accepted):
         out["reason"] = out["reason"].astype(np.int32)
@@ -313,16 +313,58 @@ def _by_line(out: Arrays, n: int) -> Arrays:
 
 
 def _by_charts(
-    family: Family,
     lines: Sequence[Mapping[str, Any]],
-    box: Box,
+    plane: Plane,
     request: Request,
     charts: Sequence[Arrays],
 ) -> tuple[Arrays, np.ndarray]:
     """The gaits of lines that charts give, shape (n, s, ...), and which points of lines
-    are accepted, (n, s).
+    are accepted, (n, s). Lines that differ only in their units are solved once.
     """
-    keys = np.array([[line["set"][key] for key in family.keys] for line in lines])
+    first = lines[0]
+    scales = scaling(walker_of_line(first), first) if request.is_converted else ()
+    varied = (*plane.keys, *scales)
+    values = np.array([[line["set"][key] for key in varied] for line in lines])
+    d = len(plane.keys)
+    keys, which = np.unique(values[:, :d], axis=0, return_inverse=True)
+    which = which.ravel()
+
+    family = Family.of(plain_line(first, scales), plane.keys)
+    out, accepted = _at_keys(family, keys, plane.box, request, charts)
+    out = {name: of_line[which] for name, of_line in out.items()}
+    if scales:
+        _check_scales(first, scales, values[:, d:])
+        walkers = Family.of(first, varied).walkers(values)
+        out = in_units_of(walkers, out, family.walkers(keys[which]))
+    return out, accepted[which]
+
+
+def _check_scales(
+    line: Mapping[str, Any], scales: Sequence[str], values: np.ndarray
+) -> None:
+    """Check that a line's walker can be with values of the keys that change only units,
+    (n, k).
+
+    Raises
+    ------
+    WalkerError
+        If with some of them it cannot.
+    """
+    for combination in np.unique(values, axis=0).tolist():
+        own = dict(zip(scales, combination, strict=True))
+        walker_of_line({**line, "set": {**line["set"], **own}})
+
+
+def _at_keys(
+    family: Family,
+    keys: np.ndarray,
+    box: Box,
+    request: Request,
+    charts: Sequence[Arrays],
+) -> tuple[Arrays, np.ndarray]:
+    """The gaits at values of keys, (n, d), that charts give, shape (n, s, ...), and
+    which points are accepted, (n, s).
+    """
     walkers = family.walkers(keys)
     corners = family.walkers(np.array([box.low, box.high]))
     n = len(keys)
@@ -371,9 +413,9 @@ def _inside(
     )
 
 
-def _reasons(family: Family, box: Box) -> list[str]:
+def _reasons(box: Box) -> list[str]:
     """Sentences that `reason` indexes."""
-    sides = zip(family.keys, box.low, box.high, strict=True)
+    sides = zip(box.keys, box.low, box.high, strict=True)
     where = ", ".join(f"{key} from {low:.6g} to {high:.6g}" for key, low, high in sides)
     return status.reasons(*(status.absent(label, where) for label in GAITS[:2]))
 

@@ -384,15 +384,29 @@ def _forget() -> None:
 def _converted(points: Arrays, walker: Walker, line: Mapping[str, Any]) -> Arrays:
     """Points of a line in the units of a walker that differs from its own in these."""
     own = walker_of_line(line)
-    ratios = [a / b for a, b in zip(units(walker), units(own), strict=True)]
-    converted = {
-        name: values * VARIABLES[name].unit(*ratios)
-        for name, values in points.items()
-        if name in VARIABLES and values.dtype == float
-    }
     words, in_own_time = atlases.searched_in(own, [own.time_unit, walker.time_unit])
     sentences = [str(each).replace(words, in_own_time) for each in points["reasons"]]
-    return {**points, **converted, "reasons": np.array(sentences)}
+    return {**in_units_of(walker, points, own), "reasons": np.array(sentences)}
+
+
+def in_units_of(walker: Walker, points: Arrays, own: Walker) -> Arrays:
+    """Return points in the units of a walker that differs from their own in these.
+
+    Parameters
+    ----------
+    walker : Walker or WalkerArray
+    points : dict of ndarray
+        In the units of `own`; of several walkers, along the first dimension.
+    own : Walker or WalkerArray
+    """
+    ratios = [a / b for a, b in zip(units(walker), units(own), strict=True)]
+    converted = dict(points)
+    for name, values in points.items():
+        if name in VARIABLES and values.dtype == float:
+            unit = np.asarray(VARIABLES[name].unit(*ratios))
+            after = (1,) * (values.ndim - 1) if unit.ndim else ()
+            converted[name] = values * unit.reshape(unit.shape + after)
+    return converted
 
 
 def search_words(params: Mapping[str, Any]) -> list[str]:

@@ -12,13 +12,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE, PARTNERS
-from gaitsweep.tasks.walkers.statics import CONDITIONED, nearest
+from gaitsweep.tasks.walkers.statics import nearest
 from gaitsweep.tasks.walkers.walker import (
-    DIFFERENTIATED,
     KEYS,
     NUMBERS,
     OF_DRIVE,
-    OF_PASSIVE,
     ONE_LINK,
     Walker,
     WalkerError,
@@ -567,75 +565,11 @@ def resolve_many(
     return WalkerArray(**{**first.table(), **values})
 
 
-def check(params: Mapping[str, Any]) -> dict[str, Any]:
-    """What a study needs to know of a walker before anything runs.
-
-    Parameters
-    ----------
-    params : mapping
-        `walker` (name or table) and `set` (values of keys, in the walker's units).
-
-    Returns
-    -------
-    dict
-        `si` and `kneed` (bool), `features` (what some variables are of), `driven`
-        (whether more than gravity drives it, so that it may walk on level ground),
-        `massless_leg` (whether its swing leg has no inertia about the hip),
-        `multipliers` (their number), `keys` (by how many of `DIFFERENTIATED` measures
-        are differentiated), `table` (the walker before `set`), `parameters` (the walker
-        with `set`), `varied` (for each key of the walker that `set` moves, the keys of
-        `set` that do), `tuned` (keys that are changed so that the walker is tuned),
-        `smooth` (keys of `set` with which gaits
-        change smoothly, so that charts may predict them), and of a walker that is or
-        may be detuned `way`: the walkers `start` and `end` between which `detuning`
-        leads, in words, and both `tables`.
-
-    Raises
-    ------
-    WalkerError
-        If the walker, a key or a value is invalid.
+def way(walker: str | Mapping[str, Any]) -> dict[str, Any]:
+    """Return the walkers between which detuning leads: `start` and `end`, in words, and
+    both `tables`.
     """
-    overrides, given = params.get("set") or {}, _table(params["walker"])
-    walker = resolve(given, overrides)
-    varied: dict[str, tuple[str, ...]] = {}
-    for owner in overrides:
-        for key in moved_by(owner, given):
-            varied[key] = (*varied.get(key, ()), owner)
-    tuned = tuple(dict.fromkeys(given.get("tuned", ())))
-    movers = tuple(
-        owner
-        for owner in overrides
-        if any(key in CONDITIONED for key in moved_by(owner, given))
-    )
-    varied |= dict.fromkeys(tuned, movers) if movers else {}
-    return {
-        "si": walker.si,
-        "kneed": walker.knees,
-        "features": walker.features,
-        "driven": walker.is_driven,
-        "massless_leg": walker.massless_leg,
-        "keys": len(OF_PASSIVE if walker.is_passive else DIFFERENTIATED),
-        "multipliers": 4 if walker.knees else 3,
-        "table": resolve(given).table(),
-        "parameters": walker.table(),
-        "varied": varied,
-        "tuned": tuned,
-        "smooth": tuple(
-            key
-            for key in overrides
-            if walker.is_passive
-            and (key in ("foot_mass_ratio", "detuning") or _is_size(key))
-        ),
-        **(
-            {"way": _way(given)}
-            if {"detuning", "toward"} & {*overrides, *given}
-            else {}
-        ),
-    }
-
-
-def _way(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The walkers between which detuning leads."""
+    table = _table(walker)
     tables = [end.table() for end in _detuning_ends(table)]
     if "toward" not in table:
         return {
@@ -652,11 +586,6 @@ def moved_by(owner: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
     if owner in _DERIVED:
         return owned(owner, walker)
     return _OF_LINKS.get(owner, (owner,)) if is_one_link(walker) else (owner,)
-
-
-def _is_size(key: str) -> bool:
-    """Whether a key is a length, a mass or an angle."""
-    return (KEYS | ONE_LINK).get(key, "") in ("length", "mass", "angle")
 
 
 def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:

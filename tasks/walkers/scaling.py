@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks.walkers.resolve import moved_by, resolve, walker_of_line
-from gaitsweep.tasks.walkers.walker import KEYS, ONE_LINK, Walker, WalkerError
+from gaitsweep.tasks.walkers.walker import KEYS, OF_DRIVE, ONE_LINK, Walker, WalkerError
 
 #: Kinds of keys that may change units, and those of them that a walker without some of
 #: its keys is compared by: the most first.
@@ -53,6 +53,43 @@ def scales(walker: Walker, line: Mapping[str, Any]) -> tuple[str, ...]:
         if _differ_in_units(walker, plain):
             return keys
     return ("g",) if "g" in changes else ()
+
+
+def scaling(walker: Walker, line: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the keys that a line sets of which each alone changes nothing but its
+    walker's units, whatever the values of all keys that it sets; none where more than
+    gravity may drive it.
+
+    Parameters
+    ----------
+    walker : Walker
+        The line's.
+    line : mapping
+        `walker`, a name or table, and `set`, values of keys.
+    """
+    changes = line.get("set") or {}
+    if not walker.is_passive or not changes.keys().isdisjoint(OF_DRIVE):
+        return ()
+    return tuple(key for key in changes if key == "g" or _is_scale(walker, line, key))
+
+
+def _is_scale(walker: Walker, line: Mapping[str, Any], key: str) -> bool:
+    """Whether a key that a line sets is proportional to all lengths, or all masses, of
+    its walker, of which no other key that it sets moves one.
+    """
+    kind = _KINDS.get(key, "")
+    if kind not in ("length", "mass"):
+        return False
+    changes, definition = line["set"], line["walker"]
+    others = (moved_by(other, definition) for other in changes if other != key)
+    sizes = (own for moved in others for own in moved if KEYS.get(own, "") == kind)
+    if any(sizes) or not _covers(walker, definition, (key,), {kind}):
+        return False
+    try:
+        twice = resolve(definition, {**changes, key: 2 * changes[key]})
+    except WalkerError:
+        return False
+    return _differ_in_units(twice, walker)
 
 
 def scaled(params: Mapping[str, Any]) -> dict[str, Any]:

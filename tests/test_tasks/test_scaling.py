@@ -11,9 +11,10 @@ from gaitsweep.pipeline.study.parse import parse
 from gaitsweep.tasks.contract.accuracy import significant_bits
 from gaitsweep.tasks.contract.registry import VARIABLES
 from gaitsweep.tasks.mechanics.kernel import FLOWS
-from gaitsweep.tasks.studies import solve_points
+from gaitsweep.tasks.studies import solve_planes, solve_points
+from gaitsweep.tasks.studies.map_designs import design
 from gaitsweep.tasks.walkers.resolve import walker_of_line
-from gaitsweep.tasks.walkers.scaling import scales
+from gaitsweep.tasks.walkers.scaling import scales, scaling
 
 ONE_LINK = {"knees": False, "l": 1.0, "m": 2.0, "c": 0.4, "r": 0.1}
 HIPPED = {**ONE_LINK, "m_h": 1.0}
@@ -104,6 +105,30 @@ WANT += ["energy", "multipliers", "violations", "step_length", "power"]
 def test_keys_that_change_only_units_are_known(walker, changes, keys):
     line = {"walker": walker, "set": changes}
     assert [*scales(walker_of_line(line), line)] == keys
+
+
+@pytest.mark.parametrize(
+    ("walker", "changes", "keys"),
+    [
+        ("C", {"g": 3.0, "R": 0.2}, ["g"]),
+        # Masses that are those of the base at one point of a grid need not be elsewhere.
+        ("E", {"m_t": 0.4, "m_s": 0.1}, []),
+        ("D", {"m_t": 3.0, "R": 0.1}, ["m_t"]),
+        # Where the hip may weigh something, the leg's mass is no unit.
+        (ONE_LINK, {"m": 3.0, "m_h": 0.0}, []),
+        (ONE_LINK, {"m": 3.0, "g": 2.0, "c": 0.5}, ["m", "g"]),
+        (HIPPED, {"m": 2.0}, []),
+        ("D", {"foot_mass_ratio": 0.0, "m_t": 3.0}, []),
+        ("C", {"g": 3.0, "push_off": 0.0}, []),
+    ],
+)
+def test_axes_that_change_only_units_are_known(walker, changes, keys):
+    line = {"walker": walker, "set": changes}
+    try:
+        own = walker_of_line(line)
+    except ValueError:
+        own = walker_of_line({**line, "set": {}})
+    assert [*scaling(own, line)] == keys
 
 
 def test_a_unit_is_that_of_its_kind():
@@ -386,3 +411,122 @@ def test_gaits_to_an_accuracy_are_not_converted_but_right():
     mantissa, _ = np.frexp(found.period.values[:, 0])
     scaled = mantissa * 2.0 ** (significant_bits(1e-6) + 1)
     assert (scaled == np.round(scaled)).all()
+
+
+#: Walkers over a plane of keys at two slopes, with values of `g`.
+RADII = {"keys": ["R"], "low": [0.2], "high": [0.25], "log": [False], "lines": 16}
+OVER_RADII = {"slope": np.array([0.02, 0.03]), "want": WANT, "plane": RADII}
+
+
+@pytest.fixture(scope="module")
+def charts():
+    window = {"slope_from": 0.02, "slope_to": 0.03, "slopes": 2, "want": ()}
+    line = {"walker": "B", "set": {}}
+    return solve_planes.charts({"line": line, "plane": RADII, **window}, [])
+
+
+def over_radii(charts, lines):
+    ((_, points),) = solve_planes.lines({**OVER_RADII, "lines": lines}, [charts])
+    return points
+
+
+def test_planes_over_g_cost_no_step_and_are_those_that_are_solved(charts):
+    radii = np.linspace(0.2, 0.25, 4).tolist()
+    one = [{"walker": "B", "set": {"R": R}} for R in radii]
+    many = [
+        {"walker": "B", "set": {"g": g, "R": R}} for g in (2.0, 9.81) for R in radii
+    ]
+    other = {"base": "B", "g": 9.81}
+    table = [{"walker": other, "set": {"R": R}} for R in radii]
+
+    of_one = work(lambda: over_radii(charts, one))
+    of_many = work(lambda: over_radii(charts, many))
+    converted = over_radii(charts, many)
+    solved = over_radii(charts, table)
+
+    assert 0 < of_many <= of_one
+    n = len(radii) * 2
+    bound = converted["error_bound"][n:] + solved["error_bound"]
+    for name, values in solved.items():
+        if name not in ("reasons", "residual", "energy_imbalance"):
+            assert_alike(name, converted[name][n:], values, bound)
+
+
+def test_a_line_of_a_plane_over_g_has_the_same_bytes_alone(charts):
+    lines = [
+        {"walker": "B", "set": {"g": g, "R": R}}
+        for R in (0.2, 0.217, 0.25)
+        for g in (2.0, 3.0, 9.81)
+    ]
+
+    beside = over_radii(charts, lines)
+    alone = over_radii(charts, lines[4:5])
+
+    for name, values in alone.items():
+        if name not in ("reasons", "reason"):
+            nan = values.dtype.kind == "f"
+            assert np.array_equal(beside[name][8:10], values, equal_nan=nan), name
+
+
+def test_a_g_of_a_plane_that_cannot_be_is_refused(charts):
+    lines = [{"walker": "B", "set": {"g": g, "R": 0.21}} for g in (2.0, -1.0)]
+    with pytest.raises(ValueError, match="`g` must be > 0"):
+        over_radii(charts, lines)
+
+
+def test_a_chunk_of_a_plane_has_all_values_of_g(tmp_path):
+    text = 'name = "s"\nwalker = "B"\naxes.slope = [0.02, 0.03]\n'
+    text += "axes.R = { from = 0.2, to = 0.25, n = 40 }\n"
+    text += "axes.g = { from = 1, to = 9, n = 20 }\n"
+    text += "axes.m_h = { from = 0.1, to = 0.2, n = 30 }\n"
+
+    graph = Graph(parse(tomllib.loads(text), text, tmp_path / "s.toml"))
+
+    assert graph.study.plane.region["keys"] == ["R", "m_h"]
+    chunks = [graph.grid.chunk(k) for k in range(graph.grid.chunks)]
+    numbers = np.concatenate([chunk.numbers for chunk in chunks])
+    assert sorted(numbers.tolist()) == [*range(24000)]
+    assert all(chunk.spans["g"] == slice(0, 20) for chunk in chunks)
+    assert len({graph.line_keys(k)["charts"] for k in (0, 30, 23999)}) == 1
+
+
+def designs(walker, at, **options):
+    line = {"walker": walker, "set": {key: np.array(each) for key, each in at.items()}}
+    return design({"line": line, "slope": np.array([1e-4, 0.3]), **options}, [])
+
+
+def test_designs_that_differ_in_units_are_solved_once():
+    g = [1.0, 4.0, -1.0, 9.81]
+    mass = [1.0, 1.0, 1.0, 5.0]
+
+    of_one = work(lambda: designs("D", {"g": [1.0]}, at_slope=0.009, ground=0.01))
+    found = {}
+    of_all = work(
+        lambda: found.update(
+            designs("D", {"g": g, "m_t": mass}, at_slope=0.009, ground=0.01)
+        )
+    )
+    other = {"base": "D", "g": 9.81, "m_t": 5.0}
+    solved = designs(other, {}, at_slope=0.009, ground=0.01)
+
+    assert 0 < of_all < 1.05 * of_one
+    assert found["design/smallest_at"][2] == "no walker"
+    for name, (value,) in solved.items():
+        if value.dtype.kind != "f":
+            assert found[name][3] == value, name
+        elif not name.endswith("_error"):
+            np.testing.assert_allclose(found[name][3], value, rtol=1e-9, err_msg=name)
+
+
+def test_designs_of_a_job_differ_in_units(tmp_path):
+    text = 'name = "s"\nkind = "design"\nwalker = "B"\naxes.slope = [1e-5, 0.4]\n'
+    text += "axes.g = { from = 1, to = 9, n = 20 }\naxes.R = { from = 0.1, to = 0.2, n = {n} }\n"
+    for n, lines in ((30, None), (500, 500)):
+        own = text.replace("{n}", str(n))
+
+        study = parse(tomllib.loads(own), own, tmp_path / "s.toml")
+
+        assert (study.plane.lines if study.plane else None) == lines
+        assert study.batches == 1
+        line = study.batch_line(0)["set"]
+        assert len(np.unique(line["R"])) == n and len(line["g"]) == 20 * n

@@ -23,8 +23,8 @@ from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from gaitsweep.tasks.walkers.describe import describe, drawing
+from gaitsweep.tasks.walkers.properties import check
 from gaitsweep.tasks.walkers.resolve import (
-    check,
     from_table,
     owned,
     resolve,
