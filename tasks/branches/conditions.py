@@ -39,7 +39,7 @@ class Condition:
     Attributes
     ----------
     name : str
-        Of `KINDS`.
+        Of `KINDS`, or of a codimension-two point.
     value : callable
         The scalar at evaluated steps.
     by_Z : callable or None
@@ -179,6 +179,17 @@ def _neimark_sacker(at: Evaluation) -> ndarray:
         for other, columns in enumerate(_PAIRS):
             compound[place, other] = minor(rows, columns)
     return determinants(np.moveaxis(compound, -1, 0) - np.eye(3))
+
+
+def _pair_sum(at: Evaluation) -> ndarray:
+    """Sum of the two multipliers whose product is 1, at Neimark-Sacker points: twice
+    the cosine of the pair's angle. A third multiplier is the determinant there.
+    """
+    A = at.jacobians
+    trace = np.trace(A, axis1=1, axis2=2)
+    if A.shape[-1] == 2:
+        return np.asarray(trace)
+    return np.asarray(trace - determinants(A))
 
 
 def _is_flip(multipliers: ndarray) -> bool:
@@ -337,6 +348,16 @@ _TABLE = (
 )
 #: The condition of each kind that equations define, by its name.
 CONDITIONS: dict[str, Condition] = {each.name: each for each in _TABLE}
+
+
+#: Conditions that hold at codimension-two points of curves of one kind and are no kind
+#: of point by themselves: by that kind, and by the names of these points.
+DEGENERATE: dict[str, dict[str, Condition]] = {
+    "neimark_sacker": {
+        "resonance 1:3": Condition("resonance 1:3", _pair_sum, target=-1.0),
+        "resonance 1:4": Condition("resonance 1:4", _pair_sum, target=0.0),
+    },
+}
 
 
 def is_located(kind: str) -> bool:

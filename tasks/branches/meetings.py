@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray
 
-from gaitsweep.tasks.branches.conditions import CONDITIONS, Condition
+from gaitsweep.tasks.branches.conditions import CONDITIONS, DEGENERATE, Condition
 from gaitsweep.tasks.branches.curves import follow_both_directions, turning, walks
 from gaitsweep.tasks.branches.equations import Equations, errors, solve
 from gaitsweep.tasks.branches.pseudo_arclength import CLOSED, Point
@@ -31,7 +31,8 @@ CUSP = "cusp"
 #: Conditions that every curve may meet, besides those that a study follows.
 _ALWAYS = ("fold", "flip", "neimark_sacker", "end_tangential_heelstrike")
 _WITH_KNEES = ("end_kneestrike_at_heelstrike", "end_tangential_kneestrike")
-#: Names of meetings whose multipliers coincide.
+#: Names of meetings whose multipliers coincide: beyond the resonances among them the
+#: pair of a curve of Neimark-Sacker points is real.
 _NAMES = {
     frozenset({"fold", "flip"}): "fold-flip",
     frozenset({"fold", "neimark_sacker"}): "resonance 1:1",
@@ -76,7 +77,8 @@ class Meeting:
     name : str
         Of the codimension-two point.
     meets : str
-        The other condition; of a cusp, empty.
+        The other condition; empty of a cusp, and where that is of curves of one kind
+        only.
     X : ndarray, shape (u,)
     error : ndarray, shape (2,)
         Bounds on the errors of its last two unknowns: ln slope and a key, or two keys.
@@ -168,6 +170,7 @@ def followed(
             points, tangents, is_pair = points[order], tangents[order], is_pair[order]
         low, high = _run(is_pair, _place_of(first.Z[:, 0], points))
 
+    others = {**others, **DEGENERATE.get(own.name, {})}
     every = list(meetings(equations, points, tangents, kind, others))
     within = [each for each in every if low - 1 <= each.segment < high]
     part = slice(low, high)
@@ -315,6 +318,7 @@ def meetings(
     Two roads: the other condition's curve has the same point.
     """
     (own,) = equations.conditions
+    own_names = DEGENERATE.get(own.name, {})
     curve = _Cubics(points, tangents)
     at = equations.evaluate(curve.at(curve.samples))
     for name, other in others.items():
@@ -335,7 +339,8 @@ def meetings(
             named = _name((kind, name), both, found)
             if named:
                 error = errors(both, found, 2)
-                yield Meeting(named, name, found, error, int(segment))
+                meets = "" if named in own_names else name
+                yield Meeting(named, meets, found, error, int(segment))
 
 
 class _Cubics:
@@ -445,6 +450,8 @@ def _name(names: Sequence[str], both: Equations, X: Gait) -> str:
     if "neimark_sacker" in names:
         (other,) = set(names) - {"neimark_sacker"}
         multipliers = both.evaluate(X[:, None]).multipliers[0]
+        if other in DEGENERATE["neimark_sacker"]:
+            return other
         if other in _DOUBLE:
             off = np.sort(np.abs(multipliers - _DOUBLE[other]))
             if off[1] < _SAME_MULTIPLIER:

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+import extended
 from gaitsweep.tasks.branches import meetings
 from gaitsweep.tasks.branches.atlas import survey
 from gaitsweep.tasks.branches.conditions import CONDITIONS
@@ -17,11 +18,13 @@ from gaitsweep.tasks.branches.equations import (
     Keys,
     System,
     correct_on_curve,
+    solve,
 )
 from gaitsweep.tasks.branches.meetings import turnings
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.studies.follow_curves import curve
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
+from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas
 from soak.stress import random_walker
 
@@ -154,6 +157,87 @@ def test_curves_of_folds_and_of_complex_pairs_have_the_resonance():
     ]
     assert found["curves/value"][of_pairs][0] == pair[1]
     assert (found["curves/value"][of_pairs][1:] > pair[1]).all()
+
+
+#: A Neimark-Sacker point of C without hip mass beyond the machine, between the resonances
+#: 1:4 and 1:3: stance angle and rates before heelstrike over it, event times, ln slope,
+#: detuning.
+PAIR = np.array(
+    [
+        -0.554156881,
+        -1.785239014,
+        -1.109843987,
+        2.379930935,
+        2.418017046,
+        -1.4648617,
+        1.9,
+    ]
+)
+
+
+def pairs_of_c():
+    """The curve of Neimark-Sacker points through `PAIR`, between two detunings."""
+    ends = 1.78, 1.99
+    keys = Keys.of_one(
+        "detuning", lambda value: resolve("C", {"m_h": 0.0, "detuning": value}), *ends
+    )
+    curve = Equations(keys, [CONDITIONS["neimark_sacker"]])
+    guess = np.append(PAIR[:-1], PAIR[-1] / keys.scale)[:, None]
+    first = correct_on_curve(curve, guess, across_last(len(guess)))
+    window = np.array([[-3.0, -1.0], ends / keys.scale])
+    return meetings.followed(curve, "neimark_sacker", first, window, {})
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    return pairs_of_c()
+
+
+RESONANCES = pytest.mark.parametrize(
+    ("name", "order", "place"),
+    [
+        ("resonance 1:3", 3, (0.24178078952527, 1.9685639632906)),
+        ("resonance 1:4", 4, (0.218533662008902, 1.80762720448207)),
+    ],
+)
+
+
+@RESONANCES
+def test_at_a_strong_resonance_the_pair_is_a_root_of_one(pairs, name, order, place):
+    """The multipliers are those of a gait solved at its slope and detuning."""
+    (point,) = [each for each in pairs.meetings if each.name == name]
+
+    log_slope, detuning = point.X[-2:] * [1.0, *pairs.equations.keys.scale]
+    assert (np.exp(log_slope), detuning) == pytest.approx(place, rel=1e-11)
+    assert (point.error < 1e-12).all() and point.meets == ""
+    problem = Problem(resolve("C", {"m_h": 0.0, "detuning": detuning}))
+    at_slope = Equations(problem, [CONDITIONS["window"].equal_to(log_slope)])
+    alone = solve(at_slope, point.X[:-1, None])
+    multipliers = np.linalg.eigvals(alone.at.jacobians[0])
+    assert np.abs(multipliers - np.exp(2j * np.pi / order)).min() < 1e-9
+    # The pair is complex on both sides: the curve does not end there.
+    assert pairs.stopped == ("border", "border")
+
+
+@RESONANCES
+@pytest.mark.thorough
+def test_strong_resonances_are_those_of_another_derivation(pairs, name, order, place):
+    """In 113 bits, by Lagrange's equations and the momentum of a floating walker."""
+    (point,) = [each for each in pairs.meetings if each.name == name]
+    slope, detuning = place
+    table = resolve("C", {"m_h": 0.0, "detuning": detuning}).table()
+    problem = pairs.equations.problem_at(point.X[:, None]).alone(0)
+    Z = point.X[:-1]
+    y, scale = problem.section(Z[:, None])
+    state = problem.start(y * scale, np.exp(Z[-1:]))[:, 0]
+    unit = problem.walker.time_unit
+
+    guess = [state[0], *(state[1:] / unit), *(Z[problem.m : -1] * unit)]
+    found = extended.gait(table, repr(slope), [repr(float(x)) for x in guess])
+
+    values = [complex(float(re), float(im)) for re, im in found["multipliers"]]
+    # Its slope and detuning are known to some thirteen digits.
+    assert np.abs(np.array(values) - np.exp(2j * np.pi / order)).min() < 1e-10
 
 
 def at_tangential_kneestrike():
