@@ -116,12 +116,12 @@ def _planes_have_their_own_keys(study: Study, top: Location) -> Iterator[StudyEr
 
 
 def _curves_are_of_something(study: Study, top: Location) -> Iterator[StudyError]:
-    """Curves are of special points or of levels."""
+    """Curves are of special points, of levels or of onsets."""
     if study.kind == "curve":
         options = registry.options("curve", study.options)
-        if not options["kinds"] and not options["levels"]:
+        if not any(options[name] for name in ("kinds", "levels", "onsets")):
             yield top.at("options", "kinds").wrong(
-                "must name special points, where there are no `levels`", []
+                "must name special points, where there are no `levels` and `onsets`", []
             )
 
 

@@ -21,6 +21,7 @@ from gaitsweep.tasks.contract.kinds import KINDS, Kind
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Numbers, PerLane
 from gaitsweep.tasks.mechanics.contact import Chain
+from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.problem import Problem
 
 #: Scalars of evaluated steps, shape (n,), and their derivatives by Z, shape (c, n).
@@ -268,6 +269,22 @@ def _knee_acceleration(at: Evaluation) -> ndarray:
     return bending / scale
 
 
+def _foot_rise(at: Evaluation) -> ndarray:
+    """Rate at which the released foot leaves the ground, over the stance angle: where it
+    is negative the foot would sink.
+    """
+    singles = at.stride.singles
+    half = len(singles.start) // 2
+    links = [0, 0, 1, half - 1]
+    scale = np.tile(np.exp(at.Z[0]) / at.stride.y[0], at.stride.steps)
+    angles = singles.start[:half][links] * scale
+    rates = singles.start[half:][links]
+
+    chain = Chain(at.problem.every_walker)
+    rise = total(chain.rise(angles) * rates)
+    return _nearest_zero(rise, at) / at.stride.y[0]
+
+
 def _stationary(at: Evaluation, by_Z: Coordinates) -> ndarray:
     """Determinant that vanishes where a quantity is stationary along the branch, by its
     derivatives (c, n).
@@ -340,6 +357,7 @@ _TABLE = (
     ),
     Condition("foot_at_kneestrike", _foot_at_kneestrike),
     Condition("release_hyperextension", _knee_rate),
+    Condition("release_penetration", _foot_rise),
     Condition("fastest", _fastest),
     Condition("exponent_two_thirds", _exponent_two_thirds),
     Condition("label", _label),

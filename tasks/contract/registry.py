@@ -70,10 +70,10 @@ TASKS = {
         Task(
             "points",
             "gaitsweep.tasks.studies.solve_points:points",
-            29,
+            30,
             needs=("atlas",),
         ),
-        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 2),
+        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 3),
         Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 11),
         Task(
             "trace", "gaitsweep.tasks.studies.trace_motion:trace", 7, needs=("atlas",)
@@ -98,10 +98,10 @@ TASKS = {
         ),
         Task("basin", "gaitsweep.tasks.studies.map_basin:basin", 13, needs=("atlas",)),
         Task(
-            "curve", "gaitsweep.tasks.studies.follow_curves:curve", 25, needs=("atlas",)
+            "curve", "gaitsweep.tasks.studies.follow_curves:curve", 26, needs=("atlas",)
         ),
         Task("design", "gaitsweep.tasks.studies.map_designs:design", 27),
-        Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 1),
+        Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 2),
         Task("census", "gaitsweep.tasks.studies.count_gaits:census", 18),
         Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 2),
         Task(

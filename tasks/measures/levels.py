@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gaitsweep.tasks.branches.conditions import Condition
+from gaitsweep.tasks.branches.conditions import Condition, Scalar
 from gaitsweep.tasks.branches.joint import Evaluation
 from gaitsweep.tasks.measures.gaits import (
     Arrays,
@@ -18,7 +18,11 @@ from gaitsweep.tasks.measures.gaits import (
 )
 from gaitsweep.tasks.measures.kinematics import TRAVEL
 from gaitsweep.tasks.measures.names import measures as measures
+from gaitsweep.tasks.step.drive import OVER_SLOPE, SLOPE
+from gaitsweep.tasks.step.lanes import lanes_of
 
+#: How tables call the condition of this module.
+LEVEL = "level"
 #: Measured of the step map's derivative.
 _RADIUS = "spectral_radius"
 
@@ -42,7 +46,25 @@ def level(name: str, value: float | np.ndarray) -> Condition:
     def measured(at: Evaluation) -> np.ndarray:
         return measure_at(name, at)
 
-    return Condition("level", measured, target=value)
+    return Condition(LEVEL, measured, target=value)
+
+
+class Measures:
+    """Several measures of evaluated steps, all taken at once, the last ones kept."""
+
+    def __init__(self, names: Sequence[str]):
+        self.names = list(dict.fromkeys(names))
+        self._last: tuple[Evaluation, Arrays] | None = None
+
+    def scalar(self, name: str) -> Scalar:
+        """Return one of them as a function of evaluated steps, shape (n,)."""
+
+        def measured(at: Evaluation) -> np.ndarray:
+            if self._last is None or self._last[0] is not at:
+                self._last = at, measures_at(self.names, at)
+            return self._last[1][name]
+
+        return measured
 
 
 def measure_at(name: str, at: Evaluation) -> np.ndarray:
@@ -76,7 +98,10 @@ def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
     -------
     dict of ndarray, shape (n,) [the walker's units]
     """
-    problem, slope = at.problem, at.problem.slopes(np.exp(at.q))
+    if at.problem.drive.key != SLOPE:
+        return _measures_by_drive(names, at)
+    slope = at.problem.slopes(np.exp(at.q))
+    problem = at.problem.over(OVER_SLOPE)
     walkers = problem.every_walker
     has_travel = any(name in TRAVEL for name in names)
     needed = [name for name in names if name not in TRAVEL and name != _RADIUS]
@@ -92,3 +117,16 @@ def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
     if _RADIUS in names:
         measured[_RADIUS] = np.abs(at.multipliers).max(axis=1)
     return {name: np.asarray(measured[name], float) for name in names}
+
+
+def _measures_by_drive(names: Sequence[str], at: Evaluation) -> Arrays:
+    """Measure gaits as `measures_at` does, of the walkers that values of what drives
+    make.
+    """
+    found = {name: np.empty(len(at.q)) for name in names}
+    for lanes, driven, slope in at.problem.at_slopes(np.exp(at.q)):
+        Z = np.vstack([at.w[:, lanes], np.log(slope)])
+        there = Evaluation(Z, lanes_of(at.stride, lanes), driven)
+        for name, values in measures_at(names, there).items():
+            found[name][lanes] = values
+    return found

@@ -11,17 +11,17 @@ In shapes, n counts lanes, u the unknowns of a gait on the curve
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.equations import Equations, correct_on_curve, solve
 from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.branches.root import bracketed_root, hermite
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
-from gaitsweep.tasks.measures.levels import level, measure_at
 from gaitsweep.tasks.mechanics.arrays import Coordinates
 from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.problem import Problem
@@ -63,6 +63,12 @@ class Curve:
         """Return a branch of gaits over the slope."""
         return cls(Equations(problem), len(branch.q), branch.at)
 
+    def between(self, first: int, last: int) -> Curve:
+        """Return the part of the curve from one of its nodes to another."""
+        return replace(
+            self, nodes=last - first + 1, at=lambda place: self.at(first + place)
+        )
+
     @classmethod
     def of_points(
         cls, equations: Equations, points: np.ndarray, tangents: np.ndarray
@@ -82,15 +88,15 @@ class Curve:
 
 @dataclass(frozen=True)
 class Sampled:
-    """A measure along a curve of gaits.
+    """A scalar of gaits along a curve of them, such as a measure.
 
     Attributes
     ----------
     curve : Curve
-    measure : str
-        Of `tasks.measures.levels.measures`.
+    condition : Condition
+        That the scalar has a value.
     place, values : ndarray, shape (s,)
-        Where it is sampled, in order, and its values [the walker's units].
+        Where it is sampled, in order, and its values.
     is_long : ndarray of bool, shape (s,)
         Whether the gaits there are long ones.
     X : ndarray, shape (u, s)
@@ -98,31 +104,47 @@ class Sampled:
     """
 
     curve: Curve
-    measure: str
+    condition: Condition
     place: np.ndarray
     values: np.ndarray
     is_long: np.ndarray
     X: Coordinates
 
     @classmethod
-    def of(cls, curve: Curve, measure: str) -> Sampled:
-        """Sample a measure along a curve, its extremes among the samples."""
-        last = curve.nodes - 1
-        place = np.linspace(0.0, last, _PARTS * last + 1)
-        sampled = cls._at(curve, measure, place)
-        for _ in range(_REFINED):
-            vertices = np.setdiff1d(sampled._vertices(), sampled.place)
-            if len(vertices):
-                sampled = sampled._with(cls._at(curve, measure, vertices))
+    def of(cls, curve: Curve, condition: Condition) -> Sampled:
+        """Sample a condition's scalar along a curve, its extremes among the samples."""
+        (sampled,) = cls.of_each(curve, [condition])
         return sampled
 
     @classmethod
-    def _at(cls, curve: Curve, measure: str, place: np.ndarray) -> Sampled:
+    def of_each(cls, curve: Curve, conditions: Sequence[Condition]) -> list[Sampled]:
+        """Sample the scalars of several conditions, as `of` does that of one."""
+        last = curve.nodes - 1
+        place = np.linspace(0.0, last, _PARTS * last + 1)
+        return [each._refined() for each in cls._at(curve, conditions, place)]
+
+    @classmethod
+    def _at(
+        cls, curve: Curve, conditions: Sequence[Condition], place: np.ndarray
+    ) -> list[Sampled]:
+        """The scalars of conditions at the same places."""
         X = curve.at(place)
         evaluated = curve.equations.evaluate(X)
         is_long = gait_ratio(evaluated.stride.one) < LONG_BELOW
-        values = measure_at(measure, evaluated)
-        return cls(curve, measure, place, values, is_long, X)
+        return [
+            cls(curve, condition, place, condition.value(evaluated), is_long, X)
+            for condition in conditions
+        ]
+
+    def _refined(self) -> Sampled:
+        """The samples with those of extremes between them."""
+        sampled = self
+        for _ in range(_REFINED):
+            vertices = np.setdiff1d(sampled._vertices(), sampled.place)
+            if len(vertices):
+                (more,) = self._at(self.curve, [self.condition], vertices)
+                sampled = sampled._with(more)
+        return sampled
 
     def _with(self, other: Sampled) -> Sampled:
         """The samples of both."""
@@ -134,7 +156,7 @@ class Sampled:
         order = np.argsort(place)
         return Sampled(
             self.curve,
-            self.measure,
+            self.condition,
             place[order],
             values[order],
             is_long[order],
@@ -205,11 +227,11 @@ class Sampled:
         return float(every.min()), float(every.max())
 
     def passes(self, wanted: np.ndarray) -> Passed:
-        """Return the gaits at which the measure has some values.
+        """Return the gaits at which the scalar has some values.
 
         Parameters
         ----------
-        wanted : ndarray, shape (v,) [the walker's units]
+        wanted : ndarray, shape (v,)
 
         Notes
         -----
@@ -228,6 +250,10 @@ class Sampled:
         ok &= ~_are_twins(value, X, ok)
         return Passed(value[ok], place[ok], X[:, ok])
 
+    def passes_target(self) -> Passed:
+        """Return the gaits at which the condition is fulfilled."""
+        return self.passes(np.array([self.condition.target]))
+
     def _solved(
         self, k: np.ndarray, wanted: np.ndarray
     ) -> tuple[np.ndarray, Coordinates, np.ndarray]:
@@ -241,7 +267,7 @@ class Sampled:
         step = self.place[k + 1] - self.place[k]
         place = self.place[k] + share * step
 
-        condition = level(self.measure, wanted)
+        condition = self.condition.equal_to(wanted)
         equations = self.curve.equations.having([condition])
         secant = chord * (rise / length**2)
         X, ok = _solve(equations, self.curve.at(place), secant)
@@ -267,7 +293,7 @@ class Sampled:
 
         def off(place: float) -> float:
             at = self.curve.equations.evaluate(corrected(place))
-            return float(measure_at(self.measure, at)[0]) - wanted
+            return float(self.condition.value(at)[0]) - wanted
 
         try:
             place = bracketed_root(off, self.place[k], self.place[k + 1])

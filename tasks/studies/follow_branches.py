@@ -12,19 +12,24 @@ from numpy import ndarray
 
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
-from gaitsweep.tasks.branches.conditions import CONDITIONS
+from gaitsweep.tasks.branches.conditions import CONDITIONS, Condition
+from gaitsweep.tasks.branches.equations import slope_error
+from gaitsweep.tasks.branches.joint import evaluate
 from gaitsweep.tasks.branches.locate import locate_root
 from gaitsweep.tasks.branches.lockstep import run
 from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.branches.sampling import chosen, within
 from gaitsweep.tasks.branches.special_points import RATES, record, special_points
 from gaitsweep.tasks.branches.tracking import correct
+from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.status import over
 from gaitsweep.tasks.contract.tables import Arrays, nothing, stacked, table
 from gaitsweep.tasks.contract.variables import units_of
 from gaitsweep.tasks.gaits.multipliers import multipliers
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures import violations
+from gaitsweep.tasks.measures.onsets import onsets
+from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.measures.sensitivities import slope_by_keys
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Numbers, PerLane
 from gaitsweep.tasks.step.drive import HIP_TORQUE
@@ -82,6 +87,7 @@ def branch(
         key, key_units, slope_by_key).
     """
     problem, unit = followed_over(params, int(params.get("steps", 1)))
+    begins = _begins(params, problem.walker)
     window = np.array([params["slope_from"], params["slope_to"]], float)
     low, high = _within_reach(problem, window / unit)
     parts: list[tuple[Any, ...]] = []
@@ -90,8 +96,9 @@ def branch(
         Z = _sampled(problem, curve, low, high, params)
         if Z.shape[1]:
             parts.append((number, *_columns(problem, Z, unit)))
-            for point in _special_within(problem, curve, low, high):
-                special.append((number, point))
+            points = _special_within(problem, curve, low, high)
+            points += _onsets_within(problem, curve, begins, low, high)
+            special += [(number, point) for point in points]
 
     tables = stacked("branches", parts, columns_along(problem, COLUMNS))
     tables |= _special_table(problem, special, unit)
@@ -99,6 +106,12 @@ def branch(
         rows = [*_derivatives(problem, special)]
         tables |= table("special_sensitivities", rows, DERIVATIVES)
     return tables if parts else tables | _none(problem, window, unit)
+
+
+def _begins(params: Mapping[str, Any], walker: Walker) -> dict[str, Condition]:
+    """The conditions at which the violations begin whose onsets are located."""
+    options = registry.options("branch", params)
+    return onsets(options["onsets"], walker, options["violation_limits"])
 
 
 def _within_reach(problem: Problem, window: PerLane) -> tuple[float, float]:
@@ -170,6 +183,35 @@ def _special_within(
         if low <= point["slope"] <= high and point["kind"] != "window":
             inside.append(point)
     return inside + _leaves_window(problem, branch, low, high)
+
+
+def _onsets_within(
+    problem: Problem,
+    branch: Branch,
+    begins: Mapping[str, Condition],
+    low: float,
+    high: float,
+) -> list[dict[str, Any]]:
+    """Points of a branch in a window at which violations begin, by what tables call
+    their conditions.
+    """
+    near = _nodes_near(branch, low, high)
+    if not len(near) or not begins:
+        return []
+
+    records = []
+    ends = int(near[0]), int(near[-1])
+    along = Curve.of_branch(problem, branch).between(*ends)
+    samples = Sampled.of_each(along, [*begins.values()])
+    for name, sampled in zip(begins, samples, strict=True):
+        inside = sampled.passes_target().within(np.log(low), np.log(high)).X
+        if not inside.size:
+            continue
+        points = evaluate(problem, inside)
+        for lane, Z in enumerate(inside.T):
+            error = slope_error(problem, sampled.condition, Z) + 8 * EPS
+            records.append(record(name, points, lane, error))
+    return records
 
 
 def _special_row(

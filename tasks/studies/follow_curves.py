@@ -1,5 +1,6 @@
-"""The task `curve`: folds, flips and ends of branches, and gaits at which a measure has
-a value, continued in slope and one key of the walker.
+"""The task `curve`: folds, flips and ends of branches, gaits at which a measure has a
+value, and those at which a violation begins, continued in slope and one key of the
+walker.
 """
 
 from __future__ import annotations
@@ -27,11 +28,13 @@ from gaitsweep.tasks.branches.equations import (
     slope_error,
 )
 from gaitsweep.tasks.branches.meetings import Followed, followed, met
-from gaitsweep.tasks.branches.special_points import RATES, passings, special_points
+from gaitsweep.tasks.branches.special_points import RATES, special_points
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
-from gaitsweep.tasks.measures.levels import level
+from gaitsweep.tasks.measures.levels import LEVEL, level
 from gaitsweep.tasks.measures.names import check_measure
+from gaitsweep.tasks.measures.onsets import ONSET, onsets
+from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
 from gaitsweep.tasks.studies.curve_rows import rows, start_and_period
@@ -72,7 +75,8 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         range and it has such points, else at an end of the range, the nearer first;
         `slope`, ndarray [rad], whose ends are the window; and the study's options: `key` (a
         walker key, `detuning` or `foot_mass_ratio`), `from` and `to`, its range in the
-        walker's units, or `plane`, the ranges of two keys, `kinds` of points, and `levels`, measures with their values.
+        walker's units, or `plane`, the ranges of two keys, `kinds` of points, `levels`, measures with their values, and
+        `onsets`, names of violations, with `violation_limits`.
     inputs : list
         The line's atlas.
 
@@ -180,14 +184,15 @@ class _Tables(NamedTuple):
 
 
 def _conditions(options: Mapping[str, Any], walker: Walker) -> dict[str, Condition]:
-    """What curves fulfil, by what tables call them: kinds of special points, and
-    measures at their values.
+    """What curves fulfil, by what tables call them: kinds of special points, measures at
+    their values, and amounts of violations at their limits.
     """
     conditions = {kind: CONDITIONS[kind] for kind in options["kinds"]}
     for measure, value in options["levels"].items():
         check_measure(measure, walker, "levels")
         conditions[f"{measure} = {value:g}"] = level(measure, value)
-    return conditions
+    limits = options["violation_limits"]
+    return conditions | onsets(options["onsets"], walker, limits)
 
 
 def _follow_all(
@@ -329,8 +334,12 @@ def _seeds(
             kind = str(point["kind"])
             if kind in conditions:
                 seeds.append((kind, np.array(point["Z"])))
-        for name, condition in conditions.items():
-            if condition.name == "level":
-                passed = passings(problem, branch, condition)
-                seeds += [(name, point.Z[:, 0]) for _, point in passed]
+        levels = {
+            name: condition
+            for name, condition in conditions.items()
+            if condition.name in (LEVEL, ONSET)
+        }
+        samples = Sampled.of_each(Curve.of_branch(problem, branch), [*levels.values()])
+        for name, sampled in zip(levels, samples, strict=True):
+            seeds += [(name, Z) for Z in sampled.passes_target().X.T]
     return [(kind, Z) for kind, Z in seeds if window.holds(Z[-1])]

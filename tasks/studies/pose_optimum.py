@@ -4,7 +4,7 @@ which its iterations may begin.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,12 +16,11 @@ from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.equations import Equations, Keys
-from gaitsweep.tasks.branches.joint import Evaluation
 from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.contract.registry import VARIABLES, VIOLATIONS
-from gaitsweep.tasks.contract.tables import Arrays
-from gaitsweep.tasks.measures.levels import measures_at
+from gaitsweep.tasks.measures.levels import Measures
 from gaitsweep.tasks.measures.names import measures
+from gaitsweep.tasks.measures.onsets import over_size
 from gaitsweep.tasks.measures.programme import (
     STABLE,
     Constraint,
@@ -101,24 +100,6 @@ class Box:
         return values.T
 
 
-class _Measures:
-    """Several measures of evaluated steps, all taken at once, the last ones kept."""
-
-    def __init__(self, names: Sequence[str]):
-        self.names = list(dict.fromkeys(names))
-        self._last: tuple[Evaluation, Arrays] | None = None
-
-    def scalar(self, name: str) -> Callable[[Evaluation], ndarray]:
-        """One of them as a function of evaluated steps, shape (n,)."""
-
-        def measured(at: Evaluation) -> ndarray:
-            if self._last is None or self._last[0] is not at:
-                self._last = at, measures_at(self.names, at)
-            return self._last[1][name]
-
-        return measured
-
-
 @dataclass(frozen=True)
 class Question:
     """What is asked of one line.
@@ -188,7 +169,7 @@ class Question:
         """The nonlinear programme, with values that measures have."""
         keys = self.box.keys
         walker = keys.walker_at(*keys.ordinary)
-        taken = _Measures(self._taken(walker))
+        taken = Measures(self._taken(walker))
         constraints = [*walking(walker.knees), *self._of_labels()]
         constraints += STABLE if self.options["stable"] else ()
         constraints += self._of_measures(taken, case)
@@ -208,7 +189,7 @@ class Question:
         known = measures(walker)
         return [name for name in (*named, *self._amounts) if name in known]
 
-    def _objective(self, taken: _Measures) -> Objective:
+    def _objective(self, taken: Measures) -> Objective:
         sign = -1 if self.options["maximise"] else 1
         unknowns = [SLOPE, *self.box.free]
         if self.name in unknowns:
@@ -226,7 +207,7 @@ class Question:
             yield Constraint("label", label.value, float(label.target), side)
 
     def _of_measures(
-        self, taken: _Measures, case: Mapping[str, float]
+        self, taken: Measures, case: Mapping[str, float]
     ) -> Iterator[Constraint]:
         ranges = {name: (value, value) for name, value in case.items()}
         for name, (low, high) in {**self.options["within"], **ranges}.items():
@@ -238,7 +219,7 @@ class Question:
                 yield Constraint(name, scalar, low, 1, size)
                 yield Constraint(name, scalar, high, -1, size)
 
-    def _of_violations(self, taken: _Measures, walker: Walker) -> Iterator[Constraint]:
+    def _of_violations(self, taken: Measures, walker: Walker) -> Iterator[Constraint]:
         """What keeps the amounts of violations within their limits."""
         known = measures(walker)
         limits = self.options["violation_limits"]
@@ -247,19 +228,8 @@ class Question:
             signed, side = (-limit, 1) if violation.is_least else (limit, -1)
             for amount in violation.amounts:
                 if amount in self._amounts and amount in known:
-                    yield Constraint(amount, _over_size(taken, amount), signed, side)
-
-
-def _over_size(taken: _Measures, amount: str) -> Callable[[Evaluation], ndarray]:
-    """An amount of a violation over the leg, the mass and g of its walker."""
-    scalar = taken.scalar(amount)
-
-    def measured(at: Evaluation) -> ndarray:
-        walkers = at.problem.every_walker
-        units = walkers.leg, walkers.total_mass, walkers.time_unit
-        return np.asarray(scalar(at) / VARIABLES[amount].unit(*units))
-
-    return measured
+                    scalar = over_size(taken.scalar(amount), amount)
+                    yield Constraint(amount, scalar, signed, side)
 
 
 def candidates(question: Question) -> list[Coordinates]:

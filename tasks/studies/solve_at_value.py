@@ -13,6 +13,7 @@ import numpy as np
 
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
+from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.equations import Equations, Keys
 from gaitsweep.tasks.branches.locate import settle_on_branches
 from gaitsweep.tasks.branches.refine import COARSE
@@ -28,6 +29,7 @@ from gaitsweep.tasks.measures.gaits import (
     store,
     to_accuracy,
 )
+from gaitsweep.tasks.measures.levels import level
 from gaitsweep.tasks.measures.names import check_measure
 from gaitsweep.tasks.measures.passed import Curve, Passed, Sampled
 from gaitsweep.tasks.measures.sensitivities import KeyOfWalker
@@ -64,6 +66,11 @@ class _Target:
     vary: str
     low: float
     high: float
+
+    @property
+    def condition(self) -> Condition:
+        """That gaits have a value of the measure."""
+        return level(self.measure, 0.0)
 
     @property
     def where(self) -> str:
@@ -332,7 +339,7 @@ def _along_slope(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _F
     walker = walker_of_line(line)
     problem, branches, log = _branches(walker, target)
     curves = [Curve.of_branch(problem, branch) for branch in branches]
-    samples = [Sampled.of(curve, target.measure) for curve in curves]
+    samples = [Sampled.of(curve, target.condition) for curve in curves]
     groups = _passed(samples, target, np.array(target.edges))
 
     guessed = list(map(_OnBranch.of, branches, groups))
@@ -411,7 +418,7 @@ def _along_key(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Fou
     keys = Keys.of_one(target.vary, walker_at, target.low, target.high)
     gaits = Equations(keys, [], float(line["slope"]))
     curves = [Curve.of_points(gaits, *each) for each in gaits_over_key(gaits)]
-    samples = [Sampled.of(curve, target.measure) for curve in curves]
+    samples = [Sampled.of(curve, target.condition) for curve in curves]
     log = [f"{len(samples)} curves of gaits over `{target.vary}` searched"]
     groups: list[Passed] = []
     if _is_unchanged(samples):

@@ -157,6 +157,18 @@ def test_keys_are_found_on_level_ground(walker, keys, vary, between, slope):
         assert gait["slope"] == slope and gait["error_bound"] < 1e-12
 
 
+def test_violations_on_level_ground_are_those_of_single_gaits():
+    """Motions were integrated on the slope from which slopes of 0 are counted."""
+    between = 0.12, 0.16
+    found = at("B", "friction_demand", 0.28, vary="push_off", between=between, slope=0)
+
+    assert found["gaits"]
+    for gait in found["gaits"]:
+        there = {"walker": "B", "slope": 0.0, "set": {"push_off": gait["push_off"]}}
+        demands = [one["friction_demand"] for one in solve_one(there)["gaits"]]
+        assert min(abs(demand / 0.28 - 1) for demand in demands) < 1e-11
+
+
 @SLOW
 def test_slopes_that_lead_up_and_down_are_searched_as_one_range():
     """By the speeds of single solves on both sides of each."""

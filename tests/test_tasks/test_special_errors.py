@@ -27,6 +27,7 @@ KINDS = {*filter(is_located, CONDITIONS), "end_earlier_strike"} - {
     "fastest",
     "exponent_two_thirds",
     "foot_at_kneestrike",
+    "release_penetration",
 }
 LINES = 300
 

@@ -109,8 +109,8 @@ def _commands(base: str, curve: pd.DataFrame, keys: dict[str, str]) -> list[str]
 
 
 def _several(kind: str) -> str:
-    """Points of a curve in words: folds, or gaits of a level."""
-    if "=" in kind:
+    """Points of a curve in words: folds, or gaits of a level or an onset."""
+    if "=" in kind or kind.startswith("onset_"):
         return spaced(kind)
     return f"{spaced(kind)} points" if kind == "neimark_sacker" else f"{spaced(kind)}s"
 
