@@ -12,7 +12,7 @@ from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.boxes import MOST_POINTS, box_shape
 from gaitsweep.pipeline.grid.choose_method import method_of
 from gaitsweep.pipeline.grid.method import Method, scaling_axes
-from gaitsweep.pipeline.study.model import Study
+from gaitsweep.pipeline.study.model import Plane, Study
 
 _SECONDS = 0.3  # work in a chunk of points of one line [s]
 _MAX_SHARE = 8  # parts of a point's time limit that a chunk may take
@@ -226,7 +226,8 @@ class Grid:
         if in_memory:
             return {**each, along: slopes}
         chunks = math.ceil(slopes / self._most_points())
-        return {**each, along: math.ceil(slopes / chunks)}
+        of_chunk = math.ceil(slopes / chunks)
+        return {**each, along: of_chunk}
 
     def _extent_of_lines(self, slopes: int) -> dict[str, int]:
         """Size of a chunk of many lines along all dimensions but that of slopes.
@@ -236,21 +237,36 @@ class Grid:
         """
         scaling = {axis.name: len(axis) for axis in scaling_axes(self.study)}
         alike = math.prod(scaling.values())
+
         own = {name: self.sizes[name] for name in self.line_dims if name not in scaling}
         if self.method is Method.PLANE and self.study.plane:
-            fewest, most = (points // slopes for points in PLANE_POINTS)
-            most = max(fewest, min(most, MOST_POINTS // (slopes * alike)))
-            lines = max(_LINES, fewest, self.study.lines // alike // _PLANE_CHUNKS)
-            tile = _tile(self.study.plane.axes, min(lines, most))
+            tile = self._extent_of_plane(self.study.plane, slopes, alike)
             extent = dict.fromkeys(own, 1) | tile
         else:
-            extent = dict(zip(own, box_shape(own, _LINES), strict=True))
-        left = max(1, MOST_POINTS // (slopes * math.prod(extent.values())))
-        return extent | dict(zip(scaling, box_shape(scaling, left), strict=True))
+            shape = box_shape(own, _LINES)
+            extent = dict(zip(own, shape, strict=True))
+
+        points = slopes * math.prod(extent.values())
+        shape = box_shape(scaling, max(1, MOST_POINTS // points))
+        return extent | dict(zip(scaling, shape, strict=True))
+
+    def _extent_of_plane(self, plane: Plane, slopes: int, alike: int) -> dict[str, int]:
+        """Size of a chunk along the axes of a plane, of whose lines `alike` each differ
+        only in their units.
+        """
+        fewest, most = (points // slopes for points in PLANE_POINTS)
+        of_chunk = MOST_POINTS // (slopes * alike)
+        most = min(most, of_chunk)
+        most = max(fewest, most)
+
+        wanted = self.study.lines // alike // _PLANE_CHUNKS
+        lines = max(_LINES, fewest, wanted)
+        return _tile(plane.axes, min(lines, most))
 
     def _most_points(self) -> int:
         """Most points of a chunk of one line: those of about `_SECONDS`."""
-        seconds = min(_SECONDS, self.study.limits.seconds / _MAX_SHARE)
+        share = self.study.limits.seconds / _MAX_SHARE
+        seconds = min(_SECONDS, share)
         in_time = int(seconds / costs.of_point(self.study, self.method))
         most = MOST_POINTS
         if not self.study.values_along.min() > _TINY:

@@ -95,12 +95,9 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     every = _Designs.of(params["line"])
     designs, which = every.alike()
-    slope = np.log(np.asarray(params["slope"], float))
-    window = float(slope.min()), float(slope.max())
     options = registry.options("design", params)
-    speed = options["at_speed"]
     at_slope = options["at_slope"]
-    sought = Sought(window, None if speed is None else float(np.log(speed)))
+    sought = _sought(params["slope"], options["at_speed"])
     plane = Plane.of(params["plane"]) if "plane" in params else None
     request = None
     if at_slope is not None:
@@ -116,10 +113,15 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     if request:
         _disturb(designs.walkers, gaits, at_slope, options["ground"], rows)
 
-    rows = rows.some(which)
-    with np.errstate(invalid="ignore"):  # of walkers that cannot be
-        columns = rows.columns(every.walkers) | rows.further(options)
+    columns = rows.some(which).table(every.walkers, options)
     return {f"design/{name}": values for name, values in columns.items()}
+
+
+def _sought(slopes: Any, speed: float | None) -> Sought:
+    """What is sought in the window that slopes span [rad], and at a speed, if any."""
+    slope = np.log(np.asarray(slopes, float))
+    window = float(slope.min()), float(slope.max())
+    return Sought(window, None if speed is None else float(np.log(speed)))
 
 
 @dataclass(frozen=True)
@@ -398,7 +400,12 @@ class _Rows:
         rows.steps = self.steps[:, numbers]
         return rows
 
-    def further(self, options: Mapping[str, Any]) -> Arrays:
+    def table(self, walkers: WalkerArray, options: Mapping[str, Any]) -> Arrays:
+        """All columns of the table, in the walkers' units."""
+        with np.errstate(invalid="ignore"):  # of walkers that cannot be
+            return self._columns(walkers) | self._further(options)
+
+    def _further(self, options: Mapping[str, Any]) -> Arrays:
         """The columns that options ask for."""
         out: Arrays = {}
         if options["at_speed"] is not None:
@@ -416,7 +423,7 @@ class _Rows:
                 out["largest_step_down"], out["largest_step_up"] = self.steps
         return out
 
-    def columns(self, walkers: WalkerArray) -> Arrays:
+    def _columns(self, walkers: WalkerArray) -> Arrays:
         """The table's columns, in the walkers' units."""
         smallest, stable, fastest = (self.at[name] for name in _OF)
         froude = np.exp(fastest["log_froude"])

@@ -42,17 +42,8 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     definition, overrides = params["walker"], params.get("set") or {}
     given: Mapping[str, Any] = {} if isinstance(definition, str) else definition
     walker = resolve(definition, overrides)
-    varied: dict[str, tuple[str, ...]] = {}
-    for owner in overrides:
-        for key in moved_by(owner, definition):
-            varied[key] = (*varied.get(key, ()), owner)
     tuned = tuple(dict.fromkeys(given.get("tuned", ())))
-    movers = tuple(
-        owner
-        for owner in overrides
-        if any(key in CONDITIONED for key in moved_by(owner, definition))
-    )
-    varied |= dict.fromkeys(tuned, movers) if movers else {}
+    moved = {owner: moved_by(owner, definition) for owner in overrides}
     return {
         "si": walker.si,
         "kneed": walker.knees,
@@ -63,7 +54,7 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "multipliers": 4 if walker.knees else 3,
         "table": resolve(definition).table(),
         "parameters": walker.table(),
-        "varied": varied,
+        "varied": _varied(moved, tuned),
         "tuned": tuned,
         "scaling": scaling(walker, {"walker": definition, "set": overrides}),
         "smooth": tuple(
@@ -75,6 +66,21 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
             else {}
         ),
     }
+
+
+def _varied(
+    moved: Mapping[str, tuple[str, ...]], tuned: tuple[str, ...]
+) -> dict[str, tuple[str, ...]]:
+    """For each key that is `moved`, or tuned when one is, those that move it."""
+    varied: dict[str, tuple[str, ...]] = {}
+    for owner, keys in moved.items():
+        for key in keys:
+            varied[key] = (*varied.get(key, ()), owner)
+
+    movers = tuple(
+        owner for owner, keys in moved.items() if not set(keys).isdisjoint(CONDITIONED)
+    )
+    return varied | dict.fromkeys(tuned, movers) if movers else varied
 
 
 def _is_smooth(key: str) -> bool:
