@@ -320,9 +320,9 @@ def gaits(
     place = Location("", "violation_limits")
     limits = VIOLATION_LIMITS.read(violation_limits or {}, place)
     walker = files.changed(broadcast.definition(walker), tuned=tuned)
-    if at is not None and steps > 1:
-        raise Location("", "steps").wrong("must be 1 with `at`", steps)
     asked, sought = _asked(slope, at, vary, between)
+    if sought:
+        target.check_steps(steps, sought, Location("", "steps"))
     wanted = want.of_targets(wanted, sought)
     asked |= keys
     named = () if names is None else names
@@ -412,7 +412,8 @@ def solve(
     between : (float, float), optional
         Least and largest value of what is varied, by default as for `gaits`.
     steps : int
-        Number of steps after which a gait repeats, as for `gaits`; 1 with `at`.
+        Number of steps after which a gait repeats, as for `gaits`; with `at`, where
+        slopes are varied.
     accuracy : float, optional
         Largest error bound wanted, as for `gaits`; not with `at`.
     violation_limits : mapping, optional
@@ -440,9 +441,9 @@ def solve(
     limits = violation_limits or {}
     steps = Location("", "steps").count(steps, MAX_STEPS)
     if at is not None:
-        if every or steps > 1 or accuracy is not None:
-            raise StudyError("`at` takes no `every`, `steps` or `accuracy`.")
-        asked = vary, between, fixed, changes, limits, tuned
+        if every or accuracy is not None:
+            raise StudyError("`at` takes no `every` or `accuracy`.")
+        asked = vary, between, fixed, changes, limits, tuned, steps
         answer = single_point.solve_at(definition, at, *asked)
     elif fixed is None:
         raise StudyError("`slope` is needed, or `at` with the value of a measure.")

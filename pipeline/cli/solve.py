@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     if options.at:
         between = _between(options)
         asked = options.vary, between, slope, options.set, options.limit, options.tuned
-        answer = solve_at(options.walker, options.at, *asked)
+        answer = solve_at(options.walker, options.at, *asked, options.steps)
     elif slope is None:
         raise StudyError("`slope` is needed, or `at` with the value of a measure.")
     else:

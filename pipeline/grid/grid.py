@@ -238,7 +238,8 @@ class Grid:
         scaling = {axis.name: len(axis) for axis in scaling_axes(self.study)}
         alike = math.prod(scaling.values())
 
-        own = {name: self.sizes[name] for name in self.line_dims if name not in scaling}
+        dims = [name for name in self.line_dims if name not in scaling]
+        own = {name: self.sizes[name] for name in dims}
         if self.method is Method.PLANE and self.study.plane:
             tile = self._extent_of_plane(self.study.plane, slopes, alike)
             extent = dict.fromkeys(own, 1) | tile

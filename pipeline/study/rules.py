@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TypeAlias
 
 from gaitsweep.pipeline.errors import StudyError
-from gaitsweep.pipeline.study import slopes
+from gaitsweep.pipeline.study import slopes, target
 from gaitsweep.pipeline.study.fields import WANT
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Study
@@ -340,7 +340,7 @@ def _slopes_are_differentiated_over_slopes(
 def _targets_are_of_gaits_of_a_grid(
     study: Study, top: Location
 ) -> Iterator[StudyError]:
-    """Gaits of one step are sought at values of a measure, in place of a grid's slopes."""
+    """Gaits are sought at values of a measure in place of a grid's slopes."""
     if not study.at:
         if _SOUGHT in study.figures:
             yield top.at("want", "figures").error(
@@ -351,10 +351,10 @@ def _targets_are_of_gaits_of_a_grid(
         yield top.at("at").error(
             f"`at` is of the gaits of a grid; this study is a `{study.kind}`"
         )
-    if study.steps > 1:
-        yield top.at("options", "steps").error(
-            f"`at` is of gaits of one step, and `steps` is {study.steps}"
-        )
+    try:
+        target.check_steps(study.steps, study.at, top.at("options", "steps"))
+    except StudyError as error:
+        yield error
     for key, name in _wanted(study, "fits", "figures", "claims"):
         if key != "figures" or (name in registry.READS and name != _SOUGHT):
             yield top.at("want", key).error(

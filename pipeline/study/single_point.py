@@ -91,6 +91,7 @@ def solve_at(
     keys: Mapping[str, Any],
     limits: Mapping[str, float] | None = None,
     tuned: Sequence[str] = (),
+    steps: int = 1,
 ) -> dict[str, Any]:
     """Find the gaits of a walker at which a measure has a value.
 
@@ -106,7 +107,7 @@ def solve_at(
         Least and largest value of what is varied.
     slope : float, optional [rad]
         Where a key is varied.
-    keys, limits, tuned
+    keys, limits, tuned, steps
         As for `solve`.
 
     Returns
@@ -128,8 +129,10 @@ def solve_at(
     params: dict[str, Any] = {
         "measure": measure,
         "value": Location("", measure).number(value),
+        "steps": steps,
         **target.varied(vary, between),
     }
+    target.check_steps(steps, params, Location("", "steps"))
     if vary == "slope":
         if slope is not None:
             raise Location("", "slope").wrong("is varied and cannot be set too", slope)
@@ -144,7 +147,7 @@ def solve_at(
     if slope is not None and slopes.is_level(slope):
         checked = ask("check_target", {**params, "values": [params["value"]]})
         _refuse_undriven(checked, slope)
-    with for_question():
+    with for_question(), _telling_of(steps):
         answer: dict[str, Any] = ask("solve_at", params)
     return answer
 

@@ -72,6 +72,24 @@ def _measure(
     return [*named, *of_axes][0], bool(of_axes)
 
 
+def check_steps(steps: int, asked: Mapping[str, Any], place: Location) -> None:
+    """Check that gaits of some steps can be sought as is asked: those of several are
+    followed over slopes that lead down.
+
+    Raises
+    ------
+    StudyError
+        At a place, if they cannot.
+    """
+    if steps == 1:
+        return
+    low, _ = asked.get("between", (1.0, 1.0))
+    if asked["vary"] != "slope":
+        raise place.wrong("must be 1 where a key is varied", steps)
+    if low <= 0:
+        raise place.wrong("must be 1 where `between` has slopes of 0 or below", steps)
+
+
 def varied(vary: str, between: Any) -> dict[str, Any]:
     """What is varied, and its range unless it is None, as arguments give them, checked."""
     given: dict[str, Any] = {"vary": vary}

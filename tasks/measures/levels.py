@@ -44,7 +44,7 @@ def level(name: str, value: float | np.ndarray) -> Condition:
     """
 
     def measured(at: Evaluation) -> np.ndarray:
-        return measure_at(name, at)
+        return measures_at([name], at)[name]
 
     return Condition(LEVEL, measured, target=value)
 
@@ -67,26 +67,10 @@ class Measures:
         return measured
 
 
-def measure_at(name: str, at: Evaluation) -> np.ndarray:
-    """Measure gaits where they are evaluated.
-
-    Parameters
-    ----------
-    name : str
-        Of `measures`.
-    at : Evaluation
-
-    Returns
-    -------
-    ndarray, shape (n,) [the walker's units]
-    """
-    return measures_at([name], at)[name]
-
-
 # Beside the ends of walking some measures have no value.
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
 def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
-    """Measure gaits where they are evaluated, as `measure_at` does.
+    """Measure gaits where they are evaluated.
 
     Parameters
     ----------

@@ -26,6 +26,7 @@ from gaitsweep.tasks.mechanics.arrays import Coordinates
 from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.sameness import SAME_GAIT, same
+from gaitsweep.tasks.step.several_steps import from_largest
 
 #: Samples of a measure between two nodes of a curve.
 _PARTS = 4
@@ -60,8 +61,15 @@ class Curve:
 
     @classmethod
     def of_branch(cls, problem: Problem, branch: Branch) -> Curve:
-        """Return a branch of gaits over the slope."""
-        return cls(Equations(problem), len(branch.q), branch.at)
+        """Return a branch of gaits over the slope, those of several steps begun at the
+        step with the largest stance angle, of which they have some measures.
+        """
+
+        def at(place: np.ndarray) -> Coordinates:
+            Z = branch.at(place)
+            return np.vstack([from_largest(Z[:-1], branch.m, branch.steps), Z[-1:]])
+
+        return cls(Equations(problem), len(branch.q), at)
 
     def between(self, first: int, last: int) -> Curve:
         """Return the part of the curve from one of its nodes to another."""
@@ -130,7 +138,7 @@ class Sampled:
         """The scalars of conditions at the same places."""
         X = curve.at(place)
         evaluated = curve.equations.evaluate(X)
-        is_long = gait_ratio(evaluated.stride.one) < LONG_BELOW
+        is_long = gait_ratio(evaluated.stride) < LONG_BELOW
         return [
             cls(curve, condition, place, condition.value(evaluated), is_long, X)
             for condition in conditions

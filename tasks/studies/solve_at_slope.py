@@ -264,14 +264,29 @@ def _solve_cycles(
     point = solve_line(line, atlases.from_arrays(arrays), request)
     gaits = []
     for place, gait in _converged(point).items():
-        state = [gait[name] for name in ("stance_angle", "stance_rate", "thigh_rate")]
-        # The heelstrike is at another angle than the one before.
-        after = map_step({**line, "slope": slope, "state": state})["state"]
-        gait["end"] = float(after[0])
+        gait |= end_of_first_step(line, slope, gait)
         gaits.append((GAITS[place], gait))
     log = _left_out(point) if gaits else _said(point, status.NO_LONG)
     records = [record(label, slope, gait, walker) for label, gait in gaits]
     return answer(records, walker, log)
+
+
+def end_of_first_step(
+    line: Mapping[str, Any], slope: float, gait: Mapping[str, Any]
+) -> dict[str, float]:
+    """Return what `record` needs of a gait of several steps: `end`, the stance angle
+    after its first step [rad], whose heelstrike is at another than the one before.
+
+    Parameters
+    ----------
+    line : mapping
+    slope : float [rad]
+    gait : mapping
+        Its variables.
+    """
+    state = [gait[name] for name in ("stance_angle", "stance_rate", "thigh_rate")]
+    after = map_step({**line, "slope": slope, "state": state})["state"]
+    return {"end": float(after[0])}
 
 
 def _name(place: int) -> str:

@@ -37,10 +37,15 @@ from gaitsweep.tasks.step.drive import SLOPE
 from gaitsweep.tasks.step.lanes import lanes_of, slices
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.studies.gaits_over_key import SURVEYED, gaits_over_key
-from gaitsweep.tasks.studies.solve_at_slope import WANT, answer, record
+from gaitsweep.tasks.studies.solve_at_slope import (
+    WANT,
+    answer,
+    end_of_first_step,
+    record,
+)
 from gaitsweep.tasks.studies.solve_driven import LOWEST, branches_over_any_slope
 from gaitsweep.tasks.studies.solve_guesses import Solved, solve_guesses
-from gaitsweep.tasks.studies.solve_points import survey
+from gaitsweep.tasks.studies.solve_points import atlas, survey
 from gaitsweep.tasks.walkers.properties import check
 from gaitsweep.tasks.walkers.resolve import (
     value_of_key,
@@ -59,13 +64,16 @@ _UNCHANGED = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class _Target:
-    """The values wanted of a measure (v,), what is varied, and its range."""
+    """The values wanted of a measure (v,), what is varied, its range, and the number of
+    steps after which gaits repeat.
+    """
 
     measure: str
     values: np.ndarray
     vary: str
     low: float
     high: float
+    steps: int = 1
 
     @property
     def condition(self) -> Condition:
@@ -153,7 +161,8 @@ def lines(
     params : mapping
         `lines`, the line of each, with its `slope` if a key is varied; `at`, with
         `measure`, `vary` ("slope" or a key) and perhaps `between`, its least and
-        largest value; `slope`, ndarray, shape (v,), the values [the walker's units];
+        largest value; `steps` after which gaits repeat (1 if omitted; if more, the slope
+        is varied); `slope`, ndarray, shape (v,), the values [the walker's units];
         the others as `tasks.studies.solve_points:points` has them.
     inputs : list
         Empty.
@@ -166,10 +175,8 @@ def lines(
     """
     values = np.asarray(params["slope"], float)
     wanted = Wanted.of(params)
-    return [
-        ({}, _solve_line(line, {**params["at"], "values": values}, wanted))
-        for line in params["lines"]
-    ]
+    asked = {**params["at"], "values": values, "steps": params.get("steps", 1)}
+    return [({}, _solve_line(line, asked, wanted)) for line in params["lines"]]
 
 
 def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -226,7 +233,8 @@ def solve_at_value(params: Mapping[str, Any]) -> dict[str, Any]:
         `walker` (name or table) and `set` (keys to change); `measure`, the name of a
         variable, and `value`, in the walker's units; `vary`, "slope" or a key of the
         walker, and perhaps `between`, its least and largest value; `slope` [rad] where
-        a key is varied; `violation_limits`, those that are not the registry's.
+        a key is varied; `steps` after which gaits repeat (1 if omitted);
+        `violation_limits`, those that are not the registry's.
 
     Returns
     -------
@@ -283,6 +291,7 @@ def _target(
         vary=vary,
         low=low,
         high=high,
+        steps=int(asked.get("steps", 1)),
     )
 
 
@@ -337,7 +346,7 @@ def _search(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Found:
 def _along_slope(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Found:
     """Gaits of a line's branches, at any slope in a window."""
     walker = walker_of_line(line)
-    problem, branches, log = _branches(walker, target)
+    problem, branches, log = _branches(line, walker, target)
     curves = [Curve.of_branch(problem, branch) for branch in branches]
     samples = [Sampled.of(curve, target.condition) for curve in curves]
     groups = _passed(samples, target, np.array(target.edges))
@@ -366,10 +375,18 @@ def _along_slope(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _F
     )
 
 
-def _branches(walker: Walker, target: _Target) -> tuple[Problem, list[Branch], str]:
+def _branches(
+    line: Mapping[str, Any], walker: Walker, target: _Target
+) -> tuple[Problem, list[Branch], str]:
     """A walker's branches over the slopes of a target, their problem, and how they were
     searched for: where some are level, or lead uphill, of what drives there, too.
     """
+    if target.steps > 1:
+        arrays = atlas({"line": line, "steps": target.steps}, [])
+        branches = atlases.from_arrays(arrays)
+        log = f"{len(branches)} branches of gaits of {target.steps} steps searched"
+        return Problem(walker, target.steps), branches, log
+
     problem = Problem(walker)
     (branches,) = survey([walker], problem.structure, COARSE)
     if not target.is_any_slope:
@@ -516,5 +533,7 @@ def _records(
         is_long = values["heelstrike_rate_ratio"] < LONG_BELOW
         label = "long" if is_long else "short"
         key = {target.vary: float(found.varied[lane])} if is_of_key else {}
+        if target.steps > 1:
+            values |= end_of_first_step(line, float(found.slope[lane]), values)
         walker = walker_of_line({**line, "set": {**line["set"], **key}})
         yield key | record(label, float(found.slope[lane]), values, walker)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gaitsweep.tasks.walkers.resolve import moved_by, resolve, way
@@ -43,8 +43,8 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     given: Mapping[str, Any] = {} if isinstance(definition, str) else definition
     walker = resolve(definition, overrides)
     tuned = tuple(dict.fromkeys(given.get("tuned", ())))
-    moved = {owner: moved_by(owner, definition) for owner in overrides}
-    return {
+    smooth = (key for key in overrides if walker.is_passive and _is_smooth(key))
+    properties = {
         "si": walker.si,
         "kneed": walker.knees,
         "features": walker.features,
@@ -54,33 +54,35 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "multipliers": 4 if walker.knees else 3,
         "table": resolve(definition).table(),
         "parameters": walker.table(),
-        "varied": _varied(moved, tuned),
+        "varied": _varied(definition, overrides, tuned),
         "tuned": tuned,
         "scaling": scaling(walker, {"walker": definition, "set": overrides}),
-        "smooth": tuple(
-            key for key in overrides if walker.is_passive and _is_smooth(key)
-        ),
-        **(
-            {"way": way(definition)}
-            if {"detuning", "toward"} & {*overrides, *given}
-            else {}
-        ),
+        "smooth": tuple(smooth),
     }
+
+    if {"detuning", "toward"} & {*overrides, *given}:
+        properties["way"] = way(definition)
+    return properties
 
 
 def _varied(
-    moved: Mapping[str, tuple[str, ...]], tuned: tuple[str, ...]
+    definition: Any, overrides: Mapping[str, Any], tuned: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
-    """For each key that is `moved`, or tuned when one is, those that move it."""
+    """For each key of the walker that others move, these; a walker is tuned anew where
+    a key moves that its tuning depends on.
+    """
     varied: dict[str, tuple[str, ...]] = {}
-    for owner, keys in moved.items():
-        for key in keys:
+    movers = []
+    for owner in overrides:
+        moved = moved_by(owner, definition)
+        for key in moved:
             varied[key] = (*varied.get(key, ()), owner)
+        if any(key in CONDITIONED for key in moved):
+            movers.append(owner)
 
-    movers = tuple(
-        owner for owner, keys in moved.items() if not set(keys).isdisjoint(CONDITIONED)
-    )
-    return varied | dict.fromkeys(tuned, movers) if movers else varied
+    if movers:
+        varied |= dict.fromkeys(tuned, tuple(movers))
+    return varied
 
 
 def _is_smooth(key: str) -> bool:

@@ -175,7 +175,12 @@ MORE = [
         **_E,
         "kind": "branch",
         "axes": {"slope": {"from": 0.01, "to": 0.02, "adaptive": 1e-3}},
-        "options": {"steps": 1, "sensitivities": True},
+        "options": {
+            "steps": 1,
+            "sensitivities": True,
+            "onsets": ["friction"],
+            "violation_limits": {"friction": 0.3},
+        },
     },
     {
         **_E,
@@ -218,6 +223,8 @@ MORE = [
             "to": 0.2,
             "kinds": ["fold"],
             "levels": {"speed": 0.4},
+            "onsets": ["friction"],
+            "violation_limits": {"friction": 0.3},
         },
         "want": {"figures": ["curves"]},
     },

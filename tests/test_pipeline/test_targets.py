@@ -133,8 +133,12 @@ def test_a_key_that_only_changes_units_changes_no_froude_speed():
             "`between` must be slopes above 0, as nothing but gravity drives the walker",
         ),
         (
-            {"options": {"steps": 2}},
-            "`at` is of gaits of one step, and `steps` is 2",
+            {
+                "at": {"speed": 0.3, "vary": "m_h"},
+                "axes": {"slope": [0.01]},
+                "options": {"steps": 2},
+            },
+            "`steps` must be 1 where a key is varied; got 2",
         ),
         (
             {"want": {"figures": ["loglog"]}},
@@ -166,7 +170,14 @@ def test_what_cannot_be_asked_is_refused_in_a_line(tmp_path, changes, sentence):
             {"at": {"speed": 0.3}, "vary": "R", "slope": 0.01, "R": 0.2},
             "`R` is varied and cannot be set too; got 0.2.",
         ),
-        ({"at": {"speed": 0.3}, "steps": 2}, "`steps` must be 1 with `at`; got 2."),
+        (
+            {"at": {"speed": 0.3}, "vary": "R", "slope": 0.01, "steps": 2},
+            "`steps` must be 1 where a key is varied; got 2.",
+        ),
+        (
+            {"at": {"speed": 0.3}, "between": (-0.1, 0.1), "steps": 2},
+            "`steps` must be 1 where `between` has slopes of 0 or below; got 2.",
+        ),
         (
             {"at": {"speed": 0.3}, "vary": "R", "slope": 0.7},
             "`slope` must lie in [1e-18, 0.5) rad; got 0.7",
@@ -177,3 +188,23 @@ def test_arguments_that_cannot_be_are_refused_in_a_line(asked, sentence):
     with pytest.raises(StudyError) as refused:
         gaitsweep.gaits("A", **asked)
     assert str(refused.value).startswith(sentence)
+
+
+@pytest.mark.thorough
+def test_gaits_of_two_steps_are_those_of_single_solves(tmp_path):
+    """In Python, by the command and in a study."""
+    asked = {"between": (0.0152, 0.03), "steps": 2}
+
+    found = gaitsweep.gaits("D", at={"speed": 0.128}, **asked)
+
+    (slope,) = found.slope.values[np.isfinite(found.slope.values)].tolist()
+    single = gaitsweep.solve("D", at={"speed": 0.128}, **asked)
+    assert single["slope"].tolist() == [slope]
+    there = gaitsweep.gaits("D", slope, steps=2).sel(gait="long")
+    assert there.speed.item() == pytest.approx(0.128, rel=1e-12)
+    assert there.period.item() == pytest.approx(single["period"][0], rel=1e-12)
+
+    at = {"speed": 0.128, "between": [0.0152, 0.03]}
+    changed = {"walker": "D", "at": at, "axes": {}, "options": {"steps": 2}}
+    archive = run(tmp_path, **changed)
+    assert np.nanmax(archive.slope.values) == pytest.approx(slope, rel=1e-14)
