@@ -10,6 +10,7 @@ from pathlib import Path
 from gaitsweep.pipeline.errors import ArchiveError, unwritten
 
 _HEAD = 1024  # read of a file to recognise it [byte]
+_TAIL = 4096  # and of its end, if it is recognised by that
 #: What is no regular file, by the letter with which `ls -l` shows it.
 _KINDS = {
     "d": "a directory",
@@ -21,7 +22,7 @@ _KINDS = {
 }
 
 
-def check_own(path: Path, beginning: bytes) -> None:
+def check_own(path: Path, beginning: bytes, mark: bytes = b"") -> None:
     """Check that where this program is to write nothing stands, or a file of its own.
 
     Parameters
@@ -30,6 +31,8 @@ def check_own(path: Path, beginning: bytes) -> None:
     beginning : bytes
         Pattern of the beginning of its content. An empty file, or zeros that a power
         failure left, are nobody's.
+    mark : bytes
+        What its content has near its beginning or its end.
 
     Raises
     ------
@@ -43,7 +46,9 @@ def check_own(path: Path, beginning: bytes) -> None:
             )
         with open(path, "rb") as file:
             head = file.read(_HEAD).strip(b"\0")
-        if head and not re.match(beginning, head):
+            file.seek(max(0, path.lstat().st_size - _TAIL))
+            has_mark = mark in head or mark in file.read(_TAIL)
+        if head and not (has_mark and re.match(beginning, head)):
             raise ArchiveError(f"{path} is not a file of gaitsweep; move it away.")
 
 
@@ -68,8 +73,19 @@ def publish_page(path: Path, command: str, text: str) -> None:
         If something else stands there, or it cannot be written.
     """
     check_page(path, command)
+    publish_for_user(path, text.encode())
+
+
+def publish_for_user(path: Path, data: bytes) -> None:
+    """Write a file that a user has named, where that was checked.
+
+    Raises
+    ------
+    ArchiveError
+        If it cannot be written.
+    """
     try:
-        publish(path, text.encode())
+        publish(path, data)
     except OSError as error:
         raise unwritten(path, error) from error
 

@@ -5,6 +5,7 @@ a strip of poses for print.
 import argparse
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import xarray as xr
 from gaitsweep.pipeline import paths, terminal
 from gaitsweep.pipeline.api.steps import simulate
 from gaitsweep.pipeline.dispatch import ask
-from gaitsweep.pipeline.errors import StudyError, unwritten
+from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.study.single_point import led, state_of
 
 #: Formats of films and of strips, by the ending of the file.
@@ -26,6 +27,7 @@ def run(options: argparse.Namespace) -> int:
     """Write the film or the strip, and print its path."""
     ending = _ending(options)
     _check_numbers(options)
+    _check_file(options.out)
     walker, keys = led(options.walker, options.set)
     state = state_of(walker, options.slope, keys, options.gait)
     push = {0: [options.push * state[1]] * 2} if options.push else None
@@ -38,15 +40,20 @@ def run(options: argparse.Namespace) -> int:
         end = str(motion["reason"].item())
     known = ask("check_walker", {"walker": walker, "set": keys})
     content = _content(motion, known, options, ending, end)
-    try:
-        paths.publish(options.out, content)
-    except OSError as error:
-        raise unwritten(options.out, error) from error
+    _check_file(options.out)
+    paths.publish_for_user(options.out, content)
 
     print(options.out)
     if end:
         terminal.say(f"gaitsweep: {end}")
     return 0
+
+
+def _check_file(path: Path) -> None:
+    """Check that nothing stands where the film is to be written, or an earlier one."""
+    from gaitsweep.pipeline.report.figures.film import MARK
+
+    paths.check_own(path, b"", MARK.encode())
 
 
 def _ending(options: argparse.Namespace) -> str:

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.api.steps import simulate
 from gaitsweep.pipeline.cli import kinds
 from gaitsweep.pipeline.dispatch import ask
-from gaitsweep.pipeline.errors import StudyError, unwritten
+from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.pipeline.report.folder import csv_text
 from gaitsweep.pipeline.study.single_point import led, state_of
 
@@ -41,6 +42,8 @@ def run(options: argparse.Namespace) -> int:
         if step in pushes:
             raise StudyError(f"`--push` is given twice for step {step:g}.")
         pushes[int(step) if step.is_integer() else step] = change
+    if options.csv:
+        _check_file(options.csv)
     walker, keys = led(options.walker, options.set)
     # Checked here: as a keyword, a wrong one might be another argument.
     ask("check_walker", {"walker": walker, "set": keys})
@@ -92,10 +95,16 @@ def _write_series(
             if name.startswith(("theta", "rate")):
                 frame[name] = np.degrees(frame[name])
                 units[name] = units[name].replace("rad", "deg")
-    try:
-        paths.publish(options.csv, csv_text(frame, units).encode())
-    except OSError as error:
-        raise unwritten(options.csv, error) from error
+    _check_file(options.csv)
+    paths.publish_for_user(options.csv, csv_text(frame, units).encode())
+
+
+def _check_file(path: Path) -> None:
+    """Check that nothing stands where the motion is to be written, or an earlier one:
+    of its columns, whatever their units.
+    """
+    head = r"[^,\n]*,".join(_SERIES)
+    paths.check_own(path, head.encode())
 
 
 def _plain(values: xr.Variable) -> Any:

@@ -1,6 +1,7 @@
 """The studies and archives that a command names."""
 
 import argparse
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from gaitsweep.pipeline.cli.errors import say
 from gaitsweep.pipeline.companions import ARCHIVES, default_archive, found_in
 from gaitsweep.pipeline.errors import StudyError, WalkerFileError
 from gaitsweep.pipeline.study import files, parse
+from gaitsweep.pipeline.study.location import clip
 from gaitsweep.pipeline.study.model import Study
 
 
@@ -93,7 +95,13 @@ def archives(names: Sequence[Path], debug: bool) -> tuple[list[Path], list[int]]
     found: dict[Path, None] = {}
     codes: list[int] = []
     for name in names:
-        inside = [name] if name.suffix == ".nc" else _in_folder(name)
+        is_archive = name.suffix == ".nc"
+        if is_archive and not _is_known(name):
+            missing = f"There is no archive {clip(str(name), 200)}"
+            error = StudyError(f"{missing}, and no record of its run.")
+            codes.append(say(error, debug))
+            continue
+        inside = [name] if is_archive else _in_folder(name)
         found |= dict.fromkeys(inside)
         if inside and not any(name.glob("*.toml")):
             continue
@@ -105,6 +113,14 @@ def archives(names: Sequence[Path], debug: bool) -> tuple[list[Path], list[int]]
         found |= dict.fromkeys(default_archive(study.name) for study in studies)
         codes += invalid.values()
     return list(found), codes
+
+
+def _is_known(archive: Path) -> bool:
+    """Whether there is an archive, or any of its companions."""
+    if os.path.lexists(archive):  # unlike `Path.exists`, no error if it is too long
+        return True
+    begun = (companions.archive for companions in found_in(archive.parent))
+    return archive in begun
 
 
 def _in_folder(folder: Path) -> list[Path]:

@@ -537,7 +537,8 @@ class _Phase:
         samples = []
         if when and outcome != LOST:
             at = when(begin, end)
-            samples = [self._sampled(motion(at).reshape(len(at), -1).T, begin + at)]
+            states = motion(at).reshape(len(at), len(state))  # perhaps of none
+            samples = [self._sampled(states.T, begin + at)]
         return state, begin + end, outcome, samples
 
     def _sampled(self, states: np.ndarray, time: np.ndarray) -> np.ndarray:

@@ -267,3 +267,21 @@ def test_the_command_writes_the_motion_as_csv(tmp_path, capsys):
     assert "rate_st (deg s-1)" in rows[0]
     assert float(rows[0]["theta_st (deg)"]) == pytest.approx(13.940, abs=1e-3)
     assert float(rows[1]["time (s)"]) == pytest.approx(0.02)
+
+
+def test_the_motion_replaces_no_table_of_others(tmp_path, capsys):
+    path = tmp_path / "walk.csv"
+    words = ["simulate", "--walker", "physical", "--slope", "0.036", "--steps", "1"]
+    words += ["--csv", str(path), "--samples", "2"]  # none within a phase
+    assert commands.main(words) == 0
+    assert commands.main([*words, "--degrees"]) == 0  # over its own
+    assert "(deg)" in path.read_text()
+    capsys.readouterr()
+
+    foreign = "time (s),step_number,angle\n1,2,3\n"
+    path.write_text(foreign)
+
+    assert commands.main(words) == 2
+    assert path.read_text() == foreign
+    said = f"gaitsweep: {path} is not a file of gaitsweep; move it away.\n"
+    assert capsys.readouterr().err == said

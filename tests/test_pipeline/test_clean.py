@@ -7,6 +7,8 @@ import json
 import shutil
 import signal
 
+import pytest
+
 from conftest import STUDY
 from gaitsweep.pipeline.companions import Companions
 from processes import companions, wait_for_points
@@ -137,6 +139,22 @@ def test_states_are_those_of_studies_archives_and_folders(toy):
     done = toy("status", "empty", "data/archive", expect=2)
     assert done.stdout == finished
     assert "no study (*.toml) in the folder empty" in done.stderr
+
+
+@pytest.mark.parametrize(("command", "others"), [("status", 1), ("clean", 0)])
+def test_an_archive_that_is_not_there_is_an_error(toy, command, others):
+    (toy.folder / "a.nc").touch()
+    for name in ("none.nc", "none/none.nc", f"{'n' * 300}.nc"):
+        done = toy(command, name, expect=2)
+
+        assert done.stdout == ""
+        (line,) = done.stderr.splitlines()
+        assert line.startswith(f"gaitsweep: There is no archive {name[:100]}")
+        assert line.endswith(", and no record of its run.")
+
+    done = toy(command, "none.nc", "a.nc", expect=2)
+    assert len(done.stdout.splitlines()) == others
+    assert "There is no archive none.nc" in done.stderr
 
 
 def test_a_run_that_has_no_archive_yet_has_a_state(toy):

@@ -458,6 +458,7 @@ def test_status_tells_what_happened_to_people_and_machines(toy):
     )
     (found,) = json.loads(toy("status", "--json").stdout)
     assert json.loads(toy("status", "--json", found["archive"]).stdout) == [found]
+    (toy.folder / "other.nc").touch()
     (none,) = json.loads(toy("status", "--json", "other.nc").stdout)
     assert none == {"archive": "other.nc"}
     assert found["done"] == 400 and found["running"] is False
@@ -585,6 +586,7 @@ def test_a_run_needs_no_standard_error(toy, redirection):
 
 
 def test_letters_that_a_terminal_lacks_are_printed_by_number(toy):
+    (toy.folder / "θ.nc").touch()
     said = toy("status", "θ.nc", PYTHONIOENCODING="latin-1").stdout
     assert said == "\\u03b8.nc: there is no record of a run.\n"
 

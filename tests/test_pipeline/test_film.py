@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from gaitsweep import gaits, simulate
+from gaitsweep.pipeline import paths
 from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.report.figures import film
 from gaitsweep.pipeline.report.figures.body import Body
@@ -168,3 +169,32 @@ def test_what_cannot_be_filmed_is_said_in_a_line_and_leaves_no_file(
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["a.webp"],
+        ["a.svg", "--strip"],
+        pytest.param(["a.gif"], marks=pytest.mark.thorough),
+        pytest.param(["a.png"], marks=pytest.mark.thorough),
+        pytest.param(["a.png", "--strip"], marks=pytest.mark.thorough),
+        pytest.param(["a.pdf", "--strip"], marks=pytest.mark.thorough),
+    ],
+)
+def test_a_film_replaces_nothing_but_an_earlier_one(tmp_path, capsys, words):
+    path = tmp_path / words[0]
+    arguments = [path, *words[1:], *GAIT, "--steps", "1", "--slow", "0.3"]
+    assert _run(*arguments) == 0
+    paths.check_own(path, b"", film.MARK.encode())  # it may be made anew
+
+    if path.suffix in (".webp", ".gif", ".png"):
+        Image.new("RGB", (640, 320)).save(path)
+    else:
+        Figure().savefig(path)
+    foreign = path.read_bytes()
+
+    assert _run(*arguments) == 2
+    assert path.read_bytes() == foreign
+    said = f"gaitsweep: {path} is not a file of gaitsweep; move it away.\n"
+    assert capsys.readouterr().err == said

@@ -11,11 +11,20 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from PIL import Image
+from PIL import ExifTags, Image
+from PIL.PngImagePlugin import PngInfo
 
 from gaitsweep.pipeline.report.figures.body import Body, draw_pose
 from gaitsweep.pipeline.report.figures.style import INK, LINE, MUTED, style
 
+#: What films and strips say of the program that made them.
+MARK = "gaitsweep film"
+#: The same as metadata of strips, by the ending of the file, which have no date.
+_ABOUT_STRIPS: dict[str, dict[str, str | None]] = {
+    ".svg": {"Creator": MARK, "Date": None},
+    ".pdf": {"Creator": MARK, "CreationDate": None},
+    ".png": {"Software": MARK},
+}
 #: Time for which the last frame of a film stands [s].
 _REST = 1.0
 #: Size of a frame, and width of a strip [inch].
@@ -147,7 +156,6 @@ def film(
     """
     (first, *others), stream = _frames(body, shown, slope, words, end), io.BytesIO()
     pause = [round(1000 / rate)] * (len(shown) - 1) + [round(1000 * _REST)]
-    more: dict[str, Any] = {"quality": 90} if ending == ".webp" else {}
     kind = ending[1:].upper()
     first.save(
         stream,
@@ -156,9 +164,22 @@ def film(
         append_images=others,
         duration=pause,
         loop=0,
-        **more,
+        **_marked(ending),
     )
     return stream.getvalue()
+
+
+def _marked(ending: str) -> dict[str, Any]:
+    """How a film of a format is saved, with the mark by which it is known."""
+    if ending == ".gif":
+        return {"comment": MARK.encode()}
+    if ending == ".png":
+        text = PngInfo()
+        text.add_text("Software", MARK)
+        return {"pnginfo": text}
+    exif = Image.Exif()
+    exif[ExifTags.Base.Software] = MARK
+    return {"quality": 90, "exif": exif}
 
 
 def _frames(
@@ -196,6 +217,6 @@ def strip(body: Body, shown: list[Pose], slope: float, ending: str) -> bytes:
         axes = stage(figure, body, slope, (left, right), (low, high))
         for pose in shown:
             draw(axes, body, pose, slope, scale=0.45)
-        undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(ending)
-        figure.savefig(stream, format=ending[1:], dpi=300, metadata=undated)
+        about = _ABOUT_STRIPS[ending]
+        figure.savefig(stream, format=ending[1:], dpi=300, metadata=about)
     return stream.getvalue()
