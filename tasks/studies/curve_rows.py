@@ -1,4 +1,6 @@
-"""Rows of the tables of curves: their points in the walker's units."""
+"""Rows of the tables of curves: their points in the walker's units, and of what normal
+form flips and Neimark-Sacker points are.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,11 @@ import numpy as np
 
 from gaitsweep.tasks.branches.curves import walks
 from gaitsweep.tasks.branches.equations import Equations
+from gaitsweep.tasks.branches.normal_forms import NormalForm, normal_form
 from gaitsweep.tasks.step.problem import Problem
+
+#: Columns of a normal form.
+FORM = ("normal_form", "normal_form_error", "criticality")
 
 
 def rows(
@@ -31,14 +37,25 @@ def rows(
     stopped : (str, str)
         Why the curve ends at its first and at its last point.
     place : callable
-        What is said of a point (u,).
+        What is said of a point (u,), the bound on the error of its slope last.
     """
+    (condition,) = equations.conditions
+    kind = condition.name
     reasons = [""] * len(points)
     reasons[0] = stopped[0]
     reasons[-1] = stopped[1]
     for X, reason in zip(points, reasons, strict=True):
         is_step = int(walks(equations, X))
-        yield (*head, *place(X), is_step, reason)
+        placed = place(X)
+        Z, _ = equations.split(X[:, None])
+        problem = equations.problem_at(X[:, None]).alone(0)
+        form = normal_form(problem, kind, Z[:, 0], float(placed[-1]))
+        yield (*head, *placed, *form_columns(kind, form), is_step, reason)
+
+
+def form_columns(kind: str, form: NormalForm) -> tuple[float, float, str]:
+    """Return the columns of the normal form of a point of a kind."""
+    return form.coefficient, form.error, form.criticality(kind)
 
 
 def start_and_period(

@@ -17,6 +17,7 @@ from gaitsweep.tasks.branches.equations import slope_error
 from gaitsweep.tasks.branches.joint import evaluate
 from gaitsweep.tasks.branches.locate import locate_root
 from gaitsweep.tasks.branches.lockstep import run
+from gaitsweep.tasks.branches.normal_forms import normal_form
 from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.branches.sampling import chosen, within
 from gaitsweep.tasks.branches.special_points import RATES, record, special_points
@@ -35,6 +36,7 @@ from gaitsweep.tasks.mechanics.arrays import Coordinates, Numbers, PerLane
 from gaitsweep.tasks.step.drive import HIP_TORQUE
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import from_largest
+from gaitsweep.tasks.studies.curve_rows import FORM, form_columns
 from gaitsweep.tasks.studies.followed import columns_along, followed_over
 from gaitsweep.tasks.walkers.walker import KEYS, Walker
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
@@ -45,7 +47,10 @@ COLUMNS = (
     *("branch", "slope", "stance_angle", *RATES),
     *("period", "kneestrike_time", "spectral_radius", "stable", "gait"),
 )
-SPECIAL = ("branch", "kind", "slope", "stance_angle", *RATES, "period", "error_bound")
+SPECIAL = (
+    *("branch", "kind", "slope", "stance_angle", *RATES, "period", "error_bound"),
+    *FORM,
+)
 #: Columns of the table `special_sensitivities`.
 DERIVATIVES = ("branch", "kind", "slope", "key", "key_units", "slope_by_key")
 #: Largest number of points between two nodes; a window that needs more is too narrow.
@@ -82,7 +87,8 @@ def branch(
         Tables `branches` (branch, slope, stance_angle, stance_rate, thigh_rate,
         shank_rate, period, kneestrike_time, spectral_radius, stable, gait) and
         `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate,
-        shank_rate, period, error_bound), in the walker's units; `along` takes the place
+        shank_rate, period, error_bound, normal_form, normal_form_error, criticality), in
+        the walker's units; `along` takes the place
         of the slope. Where these are wanted `special_sensitivities` (branch, kind, slope,
         key, key_units, slope_by_key).
     """
@@ -221,13 +227,16 @@ def _special_row(
     drives.
     """
     time_unit = problem.walker.time_unit
+    kind, error = str(point["kind"]), float(point["error_bound"])
+    form = normal_form(problem, kind, np.array(point["Z"]), error)
     return (
-        point["kind"],
+        kind,
         unit * point["slope"],
         point["stance_angle"],
         *(np.array(point["rates"]) / time_unit),
         point["period"] * time_unit,
-        point["error_bound"],
+        error,
+        *form_columns(kind, form),
     )
 
 

@@ -37,7 +37,7 @@ from gaitsweep.tasks.measures.onsets import ONSET, onsets
 from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
-from gaitsweep.tasks.studies.curve_rows import rows, start_and_period
+from gaitsweep.tasks.studies.curve_rows import FORM, rows, start_and_period
 from gaitsweep.tasks.studies.follow_over_keys import curves_over_keys
 from gaitsweep.tasks.walkers.resolve import value_of_key, walker_of_line, walkers_over
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
@@ -60,7 +60,7 @@ _PLACE = (
     "period",
     "error_bound",
 )
-_CURVES = ("curve", "kind", *_PLACE, "walks", "stopped")
+_CURVES = ("curve", "kind", *_PLACE, *FORM, "walks", "stopped")
 _TURNINGS = ("curve", "kind", "turn", *_PLACE)
 _MEETINGS = ("curve", "kind", "point", "meets", *_PLACE, "value_error")
 
@@ -84,7 +84,8 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     -------
     dict
         Tables `curves` (curve, kind, slope, key, value, stance_angle, stance_rate,
-        thigh_rate, shank_rate, period, error_bound, walks, and at its ends `stopped`:
+        thigh_rate, shank_rate, period, error_bound, normal_form, normal_form_error,
+        criticality, walks, and at its ends `stopped`:
         why it was followed no further; over a `plane` at fixed slopes also `other_key`
         and `other_value`), `turnings` (turning points of key or slope
         along a curve: curve, kind, turn, and from slope to error_bound the same) and

@@ -29,7 +29,7 @@ from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.measures.passed import Curve
 from gaitsweep.tasks.mechanics.sums import norm
 from gaitsweep.tasks.step.problem import EPS
-from gaitsweep.tasks.studies.curve_rows import rows, start_and_period
+from gaitsweep.tasks.studies.curve_rows import FORM, rows, start_and_period
 from gaitsweep.tasks.studies.gaits_over_key import (
     SURVEYED,
     gaits_over_key,
@@ -50,7 +50,7 @@ _PARTS = 4
 _NEAR = 3.0
 _KEYS = ("key", "value", "other_key", "other_value")
 _PLACE = ("slope", *_KEYS, "stance_angle", *RATES, "period")
-_CURVES = ("curve", "kind", *_PLACE, "error_bound", "walks", "stopped")
+_CURVES = ("curve", "kind", *_PLACE, "error_bound", *FORM, "walks", "stopped")
 _ERRORS = ("value_error", "other_value_error")
 _MEETINGS = ("curve", "kind", "point", "meets", *_PLACE, *_ERRORS)
 

@@ -221,6 +221,37 @@ def test_a_locus_marks_no_point_where_a_branch_leaves_the_window(tmp_path):
     assert [0.02] in marked and [0.04] not in marked
 
 
+def test_special_points_tell_whether_they_are_supercritical(tmp_path):
+    slope = np.linspace(0.01, 0.04, 30)
+    rows = {"branch": np.zeros(30, int), "slope": slope, "stance_angle": 0.1 + slope}
+    kinds = {"kind": ["flip", "fold"], "slope": [0.02, 0.03]}
+    kinds |= {"stance_angle": [0.12, 0.13], "criticality": ["supercritical", ""]}
+    text = 'name = "b"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.04]'
+    tables = {"branches": rows, "special_points": kinds}
+
+    sketch = FIGURES["locus"](
+        read(write(tmp_path / "b.nc", text, {}, {}, {"C": KNEED}, tables))
+    )
+
+    (marks,) = [each for each in sketch.marks if each.label == "special point"]
+    assert marks.rows["told"].tolist() == ["flip, supercritical", "fold"]
+
+
+@pytest.mark.parametrize("kind", ["flip", "fold"])
+def test_points_of_curves_tell_whether_they_are_supercritical(tmp_path, kind):
+    curve = {"curve": [0, 0], "kind": [kind] * 2, "key": ["R"] * 2}
+    curve |= {"slope": [0.01, 0.02], "value": [0.1, 0.2]}
+    told = ["supercritical", "subcritical"] if kind == "flip" else ["", ""]
+    text = 'name = "c"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
+    tables = {"curves": curve | {"criticality": told}}
+
+    sketch = FIGURES["curves"](
+        read(write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables))
+    )
+
+    assert ("criticality" in sketch.marks[0].tips) == (kind == "flip")
+
+
 def _quantities(folder, **columns):
     """A line of two gaits with some variables, those of the second twice those of the
     first.

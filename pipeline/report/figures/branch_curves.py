@@ -379,7 +379,7 @@ def _draw_special(
     # At the slope where steps vanish there is none, however small the last one
     # followed.
     gaits = points.assign(
-        told=points["kind"].map(spaced),
+        told=_told(points),
         angle=points["stance_angle"],
         stance_angle=points["stance_angle"].where(
             points["kind"] != "end_zero_step", 0.0
@@ -397,6 +397,17 @@ def _draw_special(
         y="angle",
         above=True,
     )
+
+
+def _told(points: pd.DataFrame) -> pd.Series:
+    """Kinds of special points in words, of flips and pairs whether they are super- or
+    subcritical.
+    """
+    kinds = points["kind"].map(spaced)
+    if "criticality" not in points:
+        return kinds
+    criticality = points["criticality"].astype(str)
+    return kinds.where(criticality == "", kinds + ", " + criticality)
 
 
 def _draw_points(axes: Axes, inset: Axes | None, numbered: pd.DataFrame) -> None:

@@ -95,6 +95,8 @@ def _draw_curve(
     commands = _commands(source.command(others), curve, keys)
     rows = curve.assign(command=commands)
     tips = {"slope": "γ (rad)", **{of: name for name, of in keys.items()}}
+    if "criticality" in curve and (curve["criticality"] != "").any():
+        tips["criticality"] = "normal form"
     label = _labelled(line, f"{spaced(kind)}, curve {number}")
     sketch.mark(axes, rows, label, tips=tips, x=x, y="value")
 

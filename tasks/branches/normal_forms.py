@@ -1,0 +1,359 @@
+"""Normal forms of the step map at flips and Neimark-Sacker points: whether what begins
+there is stable.
+
+On the centre manifold of a flip the change xi of the stance angle over itself becomes
+-xi + b xi^3; at a Neimark-Sacker point the amplitude r of this change becomes r + d r^3.
+Where b > 0, or d < 0, gaits of twice as many steps or invariant curves begin on the side
+where the gait is unstable, and attract its neighbours in the manifold: the point is
+supercritical. Formulas are those of Y. A. Kuznetsov, Elements of Applied Bifurcation
+Theory, sections 5.4 and 8.
+
+Derivatives of the exact derivative A of the map are central differences along the
+critical eigenvector q: B(q, .) is the first of A and C(q, q, .) the second. Sections are
+counted over the stance angle. In shapes, n counts lanes, d coordinates of a section, s
+places along a direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy import ndarray
+
+from gaitsweep.tasks.branches.joint import Evaluation
+from gaitsweep.tasks.gaits.rounding import UNITS
+from gaitsweep.tasks.mechanics.arrays import Gait
+from gaitsweep.tasks.mechanics.sums import matvec
+from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.several_steps import from_largest, sections
+
+SUPERCRITICAL, SUBCRITICAL = "supercritical", "subcritical"
+
+
+class _Stencil(NamedTuple):
+    """Central differences: weights of the first and the second derivative at 1, 2, ...
+    steps, and that of the middle in the second.
+    """
+
+    first: ndarray
+    second: ndarray
+    middle: float
+
+
+_EIGHTH = _Stencil(
+    np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280]),
+    np.array([8 / 5, -1 / 5, 8 / 315, -1 / 560]),
+    -205 / 72,
+)
+_SIXTH = _Stencil(
+    np.array([3 / 4, -3 / 20, 1 / 60]),
+    np.array([3 / 2, -3 / 20, 1 / 90]),
+    -49 / 18,
+)
+#: Steps of the differences over the stance angle.
+_STEPS = 2.0 ** -np.arange(4.0, 10.0)
+#: How many of these steps, the finest, show how rounding grows with finer ones.
+_FINEST = 3
+#: Evaluations of a step in which its event times settle, and their last change but one:
+#: each is of the order of the square of the one before.
+_TURNS, _SETTLED = 8, 1e-8
+#: Shares of its error by which the point is moved in each unit, and standard deviations
+#: in a bound.
+_MOVED, _SAFETY = np.array([0.0, 1.0, -1.0, 0.5]), 8.0
+
+
+@dataclass(frozen=True)
+class NormalForm:
+    """The coefficient of a normal form.
+
+    Attributes
+    ----------
+    coefficient : float
+        b of a flip, d of a Neimark-Sacker point; NaN where there is none.
+    error : float
+        Bound on its error.
+    """
+
+    coefficient: float
+    error: float
+
+    def criticality(self, kind: str) -> str:
+        """Return whether a point of a kind is super- or subcritical; empty where the
+        sign of its coefficient is not known.
+        """
+        if not abs(self.coefficient) > self.error:
+            return ""
+        is_super = (self.coefficient > 0) == (kind == "flip")
+        return SUPERCRITICAL if is_super else SUBCRITICAL
+
+
+#: Of other points.
+NONE = NormalForm(np.nan, np.nan)
+
+
+# Where differences reach beyond steps there are none.
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
+def normal_form(problem: Problem, kind: str, Z: Gait, error: float) -> NormalForm:
+    """Return the normal form of a special point; `NONE` of kinds that have none.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one walker.
+    kind : str
+        Of the point.
+    Z : ndarray, shape (c,)
+    error : float
+        Bound on the relative error of its slope.
+
+    Notes
+    -----
+    Of several steps of the differences that with the least error counts. The error of a
+    difference is at most its difference from one of lower order; how far rounding, and
+    the error of the point, move it is measured: in each unit all operations round anew,
+    and the point is another one within its error.
+    """
+    if kind not in _FORMS:
+        return NONE
+    at = _in_units(problem, Z, error)
+    high, low = _forms(kind, at, _STEPS, (_EIGHTH, _SIXTH))
+    by_angle = _over_angle(kind, at)
+    high, low = high * by_angle, low * by_angle
+
+    deviation = high.std(axis=1, ddof=1)
+    finest = deviation[-_FINEST:] * _STEPS[-_FINEST:] ** 2
+    rounding = np.sqrt((finest**2).mean()) / _STEPS**2
+    off = np.abs(high - low)[:, 0] + _SAFETY * (deviation + rounding)
+    if not np.isfinite(off).any():
+        return NONE
+    best = int(np.nanargmin(off))
+    return NormalForm(float(high[best, 0]), float(off[best]))
+
+
+@dataclass(frozen=True)
+class _Sections:
+    """Gaits of n lanes, taken apart.
+
+    Attributes
+    ----------
+    problem : Problem
+        Of a single step, of n lanes or of one walker.
+    y : ndarray, shape (d, n)
+        First sections, scaled.
+    durations : ndarray, shape (steps, k, n) [sqrt(leg/g)]
+        Of the phases of each step.
+    drive, scale : ndarray, shape (n,)
+    jacobian : ndarray, shape (n, d, d)
+        Of all steps of a gait.
+    """
+
+    problem: Problem
+    y: ndarray
+    durations: ndarray
+    drive: ndarray
+    scale: ndarray
+    jacobian: ndarray
+
+    @classmethod
+    def of(cls, at: Evaluation) -> _Sections:
+        """Take apart gaits that are evaluated, in the units of the evaluation."""
+        problem = at.problem
+        d = len(at.stride.jacobian)
+        _, durations = sections(at.w, at.m, problem.steps)
+        y = at.stride.y[:d]
+        scale = np.exp(at.Z[0]) / y[0]
+        single = problem.of_steps(1)
+        return cls(single, y, durations, np.exp(at.q), scale, at.jacobians)
+
+    def along(self, direction: ndarray, places: ndarray) -> ndarray:
+        """Return derivatives of all steps at places (s,) along directions (d, n) from the
+        first sections, shape (s, n, d, d); NaN where there is no step.
+        """
+        s, (d, n) = len(places), self.y.shape
+        lanes = np.tile(np.arange(n), s)
+        shifts = places[:, None] * (self.y[0] * direction)[:, None, :]
+        y = (self.y[:, None, :] + shifts).reshape(d, -1)
+        problem = self.problem.some(lanes)
+        parameters = problem.parameters(self.drive[lanes], self.scale[lanes])
+
+        product = np.eye(d)[:, :, None]
+        for durations in self.durations:
+            times = np.cumsum(durations, axis=0)[:, lanes]
+            y, jacobian = _settled(problem, y, times, parameters)
+            product = matvec(jacobian[:, :, None], product)
+        return np.moveaxis(product, -1, 0).reshape(s, n, d, d)
+
+
+def _settled(
+    problem: Problem, y: ndarray, times: ndarray, parameters: ndarray
+) -> tuple[ndarray, ndarray]:
+    """Images (d, n) of sections and the derivatives there (d, d, n), the event times
+    settled; NaN where they do not.
+    """
+    for _ in range(_TURNS):
+        found = problem.step(y, times, parameters).times
+        is_settled = np.abs(found - times).max(axis=0) < _SETTLED
+        times = found
+        if (is_settled | np.isnan(found[-1])).all():
+            break
+    stride = problem.step(y, times, parameters)
+    image = np.where(is_settled, stride.image, np.nan)
+    return image, np.where(is_settled, stride.jacobian, np.nan)
+
+
+def _in_units(problem: Problem, Z: Gait, error: float) -> _Sections:
+    """A gait (c,) in every unit, its slope moved by shares of an error along the gaits of
+    other slopes; several steps begin with the largest.
+    """
+    w = from_largest(Z[:-1, None], problem.m, problem.steps)
+    Z = np.vstack([w, Z[-1:, None]])
+    by_Z = Evaluation(Z, problem.stride(w, Z[-1], slope=True)[0], problem).derivative
+    by_slope = np.linalg.solve(by_Z[:, :-1, 0], -by_Z[:, -1, 0])
+    moved = Z + np.append(by_slope, 1.0)[:, None] * error * _MOVED
+
+    y, scale = problem.section(moved)
+    units = np.array(UNITS)
+    parameters = problem.parameters(np.exp(moved[-1]), scale * units)
+    stride = problem.map(y / units, moved[problem.m : -1], parameters, slope=True)
+    return _Sections.of(Evaluation(moved, stride, problem))
+
+
+class _Eigen(NamedTuple):
+    """Critical multipliers (n,), their right vectors of unit length and left ones, whose
+    product with the right ones is 1, both (n, d).
+    """
+
+    value: ndarray
+    right: ndarray
+    left: ndarray
+
+
+def _critical(kind: str, jacobian: ndarray) -> _Eigen:
+    """The multiplier nearest to -1, or the upper one of a complex pair, of derivatives
+    (n, d, d).
+    """
+    known = np.where(np.isfinite(jacobian), jacobian, 0.0)
+    values, right = np.linalg.eig(known)
+    left = np.linalg.pinv(right)
+    lanes = np.arange(len(values))
+    off = np.abs(values + 1) if kind == "flip" else -values.imag
+    own = off.argmin(axis=1)
+    eigen = _Eigen(values[lanes, own], right[lanes, :, own], left[lanes, own])
+    if kind == "flip":
+        return _Eigen(*(np.real(part) for part in eigen))
+    return eigen
+
+
+class _Line(NamedTuple):
+    """Derivatives of steps on both sides of a gait along a direction.
+
+    Attributes
+    ----------
+    places : ndarray, shape (s,)
+    more, less : ndarray, shape (s, n, d, d)
+        At these places and opposite to them.
+    middle : ndarray, shape (n, d, d)
+    """
+
+    places: ndarray
+    more: ndarray
+    less: ndarray
+    middle: ndarray
+
+    @classmethod
+    def along(cls, at: _Sections, direction: ndarray, places: ndarray) -> _Line:
+        """Evaluate steps at places (s,) along a direction (d, n)."""
+        both = at.along(direction, np.hstack([places, -places]))
+        more, less = np.split(both, 2)
+        return cls(places, more, less, at.jacobian)
+
+    def differences(self, stencil: _Stencil, step: float) -> tuple[ndarray, ndarray]:
+        """First and second derivatives along the direction (n, d, d)."""
+        reach = step * np.arange(1, len(stencil.first) + 1)
+        some = np.searchsorted(self.places, reach)
+        more, less = self.more[some], self.less[some]
+        first = np.tensordot(stencil.first, more - less, 1)
+        second = np.tensordot(stencil.second, more + less, 1)
+        second = second + stencil.middle * self.middle
+        return first / step, second / step**2
+
+
+def _forms(
+    kind: str, at: _Sections, steps: ndarray, stencils: tuple[_Stencil, ...]
+) -> list[ndarray]:
+    """Coefficients by each stencil, for each step of the differences, shape (steps, n)."""
+    eigen = _critical(kind, at.jacobian)
+    parts = [eigen.right] if kind == "flip" else [eigen.right.real, eigen.right.imag]
+    reach = np.arange(1, len(stencils[0].first) + 1)
+    places = np.unique(np.outer(steps, reach))
+    lines = [_Line.along(at, part.T, places) for part in parts]
+
+    found = []
+    for stencil in stencils:
+        rows = []
+        for step in steps.tolist():
+            differences = [line.differences(stencil, step) for line in lines]
+            rows.append(_FORMS[kind](at.jacobian, eigen, differences))
+        found.append(np.array(rows))
+    return found
+
+
+def _times(matrices: ndarray, vectors: ndarray) -> ndarray:
+    """Products of matrices (n, d, d) and vectors (n, d)."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
+
+
+def _solved(matrices: ndarray, vectors: ndarray) -> ndarray:
+    """Solutions of equations (n, d, d) for vectors (n, d); NaN where there is none."""
+    out = np.full(vectors.shape, np.nan, np.result_type(matrices, vectors))
+    regular = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(vectors).all(axis=1)
+    regular[regular] = np.linalg.det(matrices[regular]) != 0
+    out[regular] = np.linalg.solve(matrices[regular], vectors[regular][..., None])[
+        ..., 0
+    ]
+    return out
+
+
+def _of_flip(
+    A: ndarray, eigen: _Eigen, differences: list[tuple[ndarray, ndarray]]
+) -> ndarray:
+    """Of a flip: b = <p, C(q, q, q)> / 6 + <p, B(q, (I - A)^-1 B(q, q))> / 2."""
+    ((B, C),) = differences
+    q, p = eigen.right, eigen.left
+    h = _solved(np.eye(A.shape[-1]) - A, _times(B, q))
+    vectors = _times(C, q) / 6 + _times(B, h) / 2
+    return np.asarray((p * vectors).sum(axis=1))
+
+
+def _of_pair(
+    A: ndarray, eigen: _Eigen, differences: list[tuple[ndarray, ndarray]]
+) -> ndarray:
+    """Of a pair: d = Re e^(-i theta) (<p, C(q, q, q')> + 2 <p, B(q, (I - A)^-1 B(q, q'))>
+    + <p, B(q', (e^(2 i theta) I - A)^-1 B(q, q))>) / 2, with q' conjugate to q.
+    """
+    (by_real, of_real), (by_imag, of_imag) = differences
+    B, C = by_real + 1j * by_imag, of_real + of_imag
+    q, p = eigen.right, eigen.left
+    one = np.eye(A.shape[-1])
+    turn = eigen.value / np.abs(eigen.value)
+
+    mean = _solved(one - A, _times(B, q.conj()))
+    double = _solved((turn**2)[:, None, None] * one - A, _times(B, q))
+    vectors = _times(C, q) + 2 * _times(B, mean) + _times(B.conj(), double)
+    return np.asarray(((p * vectors).sum(axis=1) / turn).real / 2)
+
+
+#: Coefficients for unit vectors, of each kind that has them.
+_FORMS = {"flip": _of_flip, "neimark_sacker": _of_pair}
+
+
+def _over_angle(kind: str, at: _Sections) -> ndarray:
+    """What makes a coefficient for unit vectors that of changes of the stance angle, (n,):
+    of a pair these are twice the real part.
+    """
+    angle = _critical(kind, at.jacobian).right[:, 0]
+    if kind == "flip":
+        return np.asarray(1 / angle**2)
+    return np.asarray(1 / (4 * np.abs(angle) ** 2))
