@@ -61,9 +61,10 @@ _CONTROL = StepControl(
 )
 #: Gaits of several steps that flips begin lie near each other.
 _CONTROL_OF_SEVERAL = replace(_CONTROL, shortest=1e-12, max_bend=0.2)
-#: Of these the largest multiplier up to which branches are followed, and the largest
-#: change of the multipliers' sum over a continuation step.
-MAX_MULTIPLIER, _MAX_CHANGE = 20.0, 0.6
+#: Of these the largest multiplier up to which branches are followed; the largest change
+#: of the multipliers' sum over a continuation step, and the sum from which on that is
+#: one of its logarithm: there no flip is near.
+MAX_MULTIPLIER, _MAX_CHANGE, _LARGE_SUM = 20.0, 0.6, 2.0
 #: Largest error of predicted event times.
 _MAX_TIME_ERROR = 0.1
 _MAX_NODES = 1500
@@ -253,10 +254,12 @@ def _without_last_halved(track: Track) -> Track:
 
 def _tests(point: Point, direction: Coordinates) -> ndarray:
     """What shows that other branches are near (2, n): the sign of the determinant that
-    vanishes where branches cross, and the sum of the multipliers.
+    vanishes where branches cross, and the sum of the multipliers; of a large sum the
+    logarithm.
     """
     side = np.sign(branch_point_determinant(point, direction))
-    return np.array([side, np.trace(point.at.jacobians, axis1=1, axis2=2)])
+    multipliers = np.trace(point.at.jacobians, axis1=1, axis2=2)
+    return np.array([side, _LARGE_SUM * np.arcsinh(multipliers / _LARGE_SUM)])
 
 
 def _keeps_apart(before: Coordinates, after: Coordinates, problem: Problem) -> ndarray:
@@ -305,7 +308,7 @@ class _Branches(Tracks):
     With `several`, as beside flips, steps are so short that no flip is passed unseen.
     `passed` and `tried` (2, n) are, at the last points and at those tried after them,
     the sign of the determinant that vanishes where branches cross and the sum of the
-    multipliers.
+    multipliers, as `_tests` has them.
     """
 
     def __init__(

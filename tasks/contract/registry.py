@@ -63,7 +63,7 @@ TASKS = {
         Task(
             "atlas",
             "gaitsweep.tasks.studies.solve_points:atlas",
-            33,
+            34,
             side_by_side="gaitsweep.tasks.studies.solve_points:lines",
             over_plane="gaitsweep.tasks.studies.solve_planes:lines",
         ),
@@ -93,7 +93,7 @@ TASKS = {
         Task(
             "cascade",
             "gaitsweep.tasks.studies.locate_cascade:cascade",
-            22,
+            23,
             needs=("atlas",),
         ),
         Task("basin", "gaitsweep.tasks.studies.map_basin:basin", 13, needs=("atlas",)),

@@ -14,7 +14,7 @@ from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.flips import doubled
 from gaitsweep.tasks.branches.joint import Evaluation
-from gaitsweep.tasks.branches.lockstep import run
+from gaitsweep.tasks.branches.lockstep import side_by_side
 from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.branches.special_points import corrected, flips
@@ -52,15 +52,15 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Bra
     """
     single = _flips_of(problem, branches)
     steps = n // (n & -n)  # the odd part
-    followed = _searched(problem, branches, steps, single, [])
+    found = _search(problem, branches, steps, single)
+    followed = _follow_all(problem.of_steps(steps), [], found)
     begins = single if steps == 1 else _flips_of(problem, followed)
     while steps < n:
         steps *= 2
-        begun = [found for flip in begins if (found := doubled(flip, _EXPECTED))]
-        starts = [(gait, step) for gait, _, step in begun]
-        followed = _along(problem.of_steps(steps), starts, begins)
-        followed += _searched(problem, branches, steps, single, followed)
-        begins = _flips_of(problem, followed)
+        found = _search(problem, branches, steps, single)
+        followed = _follow_all(problem.of_steps(steps), begins, found)
+        if steps < n:
+            begins = _flips_of(problem, followed)
     return ranked(followed)
 
 
@@ -71,26 +71,46 @@ def _flips_of(problem: Problem, branches: list[Branch]) -> list[Evaluation]:
     return found
 
 
+def _follow_all(
+    problem: Problem, begins: Sequence[Evaluation], found: Sequence[Point]
+) -> list[Branch]:
+    """The branches of gaits of several steps that flips of half as many begin, and
+    those through gaits that were found.
+    """
+    begun = [first for flip in begins if (first := doubled(flip, _EXPECTED))]
+    starts = [(gait, step) for gait, _, step in begun]
+    followed: list[Branch] = []
+    while starts or found:
+        # A search finds a branch at many slopes, most often none that a flip begins: one
+        # gait at a time is followed, the first beside those of the flips.
+        starts += [(gait, _FIRST_STEP) for gait in found[:1]]
+        followed += _along(problem, starts, begins, followed)
+        starts = []
+        found = [gait for gait in found[1:] if not is_known(followed, gait.Z[:, 0])]
+    return followed
+
+
 def _along(
     problem: Problem,
     starts: Sequence[tuple[Point, float]],
     begins: Sequence[Evaluation],
+    known: Sequence[Branch],
 ) -> list[Branch]:
-    """The branches through gaits, each followed both ways side by side with the others
-    from a first step of its own, in parts that walk.
+    """The branches through gaits besides those known, each followed both ways side by
+    side with the others from a first step of its own, in parts that walk.
     """
-    if not starts:
-        return []
     Z = np.hstack([gait.Z for gait, _ in starts])
     steps = np.array([step for _, step in starts])
-    tracks = follow(problem.some(np.zeros(len(starts), int)), Z, steps)
+    of_starts = np.zeros(len(starts), int)
+    tracks = follow(problem.some(of_starts), Z, steps)
+    refined = [branches_along(problem, down, up, COARSE, begins) for down, up in tracks]
+    parts = side_by_side(problem, of_starts, refined)
 
     followed: list[Branch] = []
-    for (gait, _), (down, up) in zip(starts, tracks, strict=True):
+    for gait, of_gait in zip(Z.T, parts, strict=True):
         # Two flips may be the ends of one branch.
-        if not is_known(followed, gait.Z[:, 0]):
-            along = branches_along(problem, down, up, COARSE, begins)
-            followed += run(problem, along)
+        if not is_known([*known, *followed], gait):
+            followed += of_gait
     return followed
 
 
@@ -108,15 +128,11 @@ def _beyond_flips(problem: Problem, branches: list[Branch]) -> ndarray:
     return np.array(medians)
 
 
-def _searched(
-    problem: Problem,
-    branches: list[Branch],
-    n: int,
-    flips: list[Evaluation],
-    known: list[Branch],
-) -> list[Branch]:
-    """Branches of gaits of n steps that a search near the first flip of one step finds
-    besides the known ones.
+def _search(
+    problem: Problem, branches: list[Branch], n: int, flips: list[Evaluation]
+) -> list[Point]:
+    """Gaits of n steps that a search near the first flip of one step finds, up to the
+    multiplier to which branches are followed.
 
     If there is no flip, gaits of two steps are searched for at slopes at which those of
     one step have doubled.
@@ -130,11 +146,5 @@ def _searched(
 
     if not len(slopes):
         return []
-
-    followed: list[Branch] = []
-    for gait in search_cycles(problem, branches, slopes, n, _STARTS):
-        if abs(gait.at.multipliers[0, 0]) > MAX_MULTIPLIER:
-            continue
-        if not is_known([*known, *followed], gait.Z[:, 0]):
-            followed += _along(problem.of_steps(n), [(gait, _FIRST_STEP)], [])
-    return followed
+    found = search_cycles(problem, branches, slopes, n, _STARTS)
+    return [gait for gait in found if abs(gait.at.multipliers[0, 0]) <= MAX_MULTIPLIER]

@@ -26,14 +26,18 @@ from gaitsweep.tasks.contract.status import over
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.fits import feigenbaum as scaling
 from gaitsweep.tasks.gaits.newton import newton
-from gaitsweep.tasks.mechanics.arrays import Slopes, Unknowns
+from gaitsweep.tasks.mechanics.arrays import LogSlopes, Marks, Slopes, Unknowns
 from gaitsweep.tasks.orbits.crisis import lost
 from gaitsweep.tasks.orbits.initial_states import gaits_at, r_sequence
 from gaitsweep.tasks.orbits.walk import Walk
 from gaitsweep.tasks.step.drive import SLOPE
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.step.sameness import SAME_GAIT, SAME_POINT, SOONER
+from gaitsweep.tasks.step.sameness import (
+    SAME_GAIT,
+    SAME_POINT,
+    SOONER,
+)
 from gaitsweep.tasks.step.several_steps import (
     distance,
     distances_of_steps,
@@ -52,8 +56,9 @@ _ORBITS, _SPREAD, _MAX_EXTENT = 640, 1e-9, 3.0
 #: in ln slope, that is expected: the first intervals of a cascade need not follow
 #: Feigenbaum's law.
 _FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
-#: Largest step of Newton's method by which a guess is not lost.
-_MAX_STEP = 1.0
+#: Largest step of Newton's method by which a guess is not lost; of guesses in one cell
+#: of this size after three steps, which lead to one gait, the nearest to it continues.
+_MAX_STEP, _MERGE_CELL = 1.0, 1e-2
 #: Initial states at a slope that are polished: those that return closest to themselves.
 _POLISHED = 60
 #: Most points of a branch on which no event is found.
@@ -361,22 +366,45 @@ def _solved(problem: Problem, w: Unknowns, slope: Slopes) -> list[Point]:
     """Distinct gaits, of exactly so many steps, to which Newton's method leads from
     guesses (m + k, n) at slopes (n,).
     """
-    m, n = problem.m, problem.steps
     q = np.log(slope)
-    w, converged = newton(problem, w, q, max_step_by_iteration=(_MAX_STEP,))
-    exact = (distances_of_steps(w, m, n) > SOONER).all(axis=0)
-    kept: list[int] = []
-    for i in np.flatnonzero(converged & exact).tolist():
-        beside = [k for k in kept if q[k] == q[i]]
-        if all(distance(w[:, i], w[:, k], m, n) > SAME_GAIT for k in beside):
-            kept.append(i)
-    if not kept:
+    # Most lead to gaits of fewer steps, or to the same ones, as coarse integration tells.
+    for coarse, cell in ((True, _MERGE_CELL), (False, 0.0)):
+        w, converged = newton(
+            problem,
+            w,
+            q,
+            coarse=coarse,
+            max_step_by_iteration=(_MAX_STEP,),
+            merge_cell=cell,
+            group=q,
+        )
+        kept = _distinct(problem, w, q, converged)
+        w, q = w[:, kept], q[kept]
+    if not len(q):
         return []
 
-    Z = np.vstack([w, q])[:, kept]
+    Z = np.vstack([w, q])
     gaits = correct(problem, Z, None)
     walking = gaits.ok & check_steps(problem, Z).step
     return [lanes_of(gaits, np.array([i])) for i in np.flatnonzero(walking)]
+
+
+def _distinct(
+    problem: Problem, w: Unknowns, q: LogSlopes, converged: Marks
+) -> list[int]:
+    """Which of the gaits (m + k, n) that have converged, at ln slopes (n,), repeat no
+    sooner and are none of those before them.
+    """
+    m, n = problem.m, problem.steps
+    exact = (distances_of_steps(w, m, n) > SOONER).all(axis=0)
+    # The equations hold of steps backwards, too.
+    forward = (sections(w, m, n)[0][:, 0] > 0).all(axis=0)
+    kept: list[int] = []
+    for i in np.flatnonzero(converged & exact & forward).tolist():
+        beside = [k for k in kept if q[k] == q[i]]
+        if all(distance(w[:, i], w[:, k], m, n) > SAME_GAIT for k in beside):
+            kept.append(i)
+    return kept
 
 
 def search_cycles(

@@ -95,18 +95,14 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         return atlases.to_arrays([])
     problem, _ = followed_over(params)
     steps = int(params.get("steps", 1))
+    # Of gaits of one step, those of several take the flips and where they are searched
+    # for, which are solved anew.
+    tolerance = COARSE if params.get("coarse") or steps > 1 else FINE
     if "along" in params:
-        single = atlases.survey(problem, FINE)
-        return atlases.to_arrays(
-            cycle_branches(problem, single, steps) if steps > 1 else single
-        )
-    if steps > 1:
-        # They are followed far from the branches where they begin.
-        (single,) = survey([problem.walker], problem.structure, FINE)
-        return atlases.to_arrays(cycle_branches(problem, single, steps))
-    (branches,) = survey(
-        [problem.walker], problem.structure, COARSE if params.get("coarse") else FINE
-    )
+        single = atlases.survey(problem, tolerance)
+    else:
+        (single,) = survey([problem.walker], problem.structure, tolerance)
+    branches = cycle_branches(problem, single, steps) if steps > 1 else single
     return atlases.to_arrays(branches)
 
 

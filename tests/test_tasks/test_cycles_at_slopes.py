@@ -11,10 +11,15 @@ import oracle
 from exact_special_points import steps_of
 from extended import Walker, _derivative
 from gaitsweep.tasks.branches.atlas import from_arrays, to_arrays
-from gaitsweep.tasks.branches.flips import begun_at_flips
+from gaitsweep.tasks.branches.flips import begun_at_flips, doubled
 from gaitsweep.tasks.branches.locate import _is_near
 from gaitsweep.tasks.branches.special_points import flips
-from gaitsweep.tasks.branches.tracking import HALVED, correct
+from gaitsweep.tasks.branches.tracking import (
+    HALVED,
+    MAX_MULTIPLIER,
+    correct,
+    follow,
+)
 from gaitsweep.tasks.gaits.polish import settle, unmeasured
 from gaitsweep.tasks.step.several_steps import (
     begun_at,
@@ -23,7 +28,9 @@ from gaitsweep.tasks.step.several_steps import (
     joined,
     sections,
 )
+from gaitsweep.tasks.studies import follow_cycles
 from gaitsweep.tasks.studies.follow_cycles import cycle_branches
+from gaitsweep.tasks.studies.locate_cascade import search_cycles
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from lines import branches as atlas_of
@@ -395,6 +402,55 @@ def test_at_the_least_slopes_more_digits_resolve_gaits_of_several_steps(slope):
     )
     assert abs(float(gait.stance_angle.item() / angle - 1)) < gait.error_bound
     assert abs(float(gait.period.item() / period - 1)) < gait.error_bound
+
+
+def test_a_search_finds_every_gait_at_a_slope():
+    """Those to which exact integration of all guesses leads."""
+    problem, known = atlas_of("D")
+
+    found = search_cycles(problem, known, np.array([0.0189]), 4, 300)
+
+    radii = [abs(gait.at.multipliers[0, 0]) for gait in found]
+    assert radii == pytest.approx([4.592890282, 91.69654024, 174.6124980], rel=1e-8)
+    for gait in found:
+        w = gait.Z[:-1]
+        y, _ = sections(w, gait.at.m, 4)
+        state = problem.start(np.exp(w[0, 0]) * y[0], np.array([0.0189]))[:3, 0]
+        steps = gaitsweep.simulate("D", 0.0189, state, 4)
+        assert steps.stance_angle.values[4] == pytest.approx(state[0], rel=1e-6)
+
+
+def test_gaits_that_are_found_are_followed_beside_those_that_flips_begin(monkeypatch):
+    problem, known = atlas_of("D")
+    followed = []
+
+    def counted(problem, Z, step):
+        followed.append((problem.steps, Z.shape[1]))
+        return follow(problem, Z, step)
+
+    monkeypatch.setattr(follow_cycles, "follow", counted)
+
+    branches = cycle_branches(problem, known, 4)
+
+    # Other gaits that the search finds lie on the two branches.
+    assert len(branches) == 2 and followed == [(2, 1), (4, 2)]
+
+
+def test_steps_along_a_branch_grow_where_multipliers_are_far_from_those_of_flips():
+    problem, known = atlas_of("D")
+    (flip,) = [flip for branch in known for flip in flips(problem, branch)]
+    gait, _, step = doubled(flip, 5e-4)
+
+    ((_, up),) = follow(gait.at.problem, gait.Z, np.array([step]))
+
+    nodes = correct(gait.at.problem, up.Z, None).at
+    largest = np.real(nodes.multipliers[:, 0])
+    assert largest[0] > 0.8 and largest[-1] < -MAX_MULTIPLIER
+    changes = np.abs(np.diff(largest))
+    is_far = largest[1:] < -5
+    assert changes[~is_far].max() < 1.5
+    # Steps that change the sum by no more than 0.6 would be 25 at least.
+    assert is_far.sum() < 15
 
 
 def test_no_gait_is_found_where_nothing_begins_one():
