@@ -246,16 +246,15 @@ def at_value(equations: Equations, points: ndarray, value: float) -> list[Gait]:
     Returns
     -------
     list of ndarray, shape (u,)
-        Its own ends among them.
+        Its own points among them.
     """
-    found = []
-    for end in (points[0], points[-1]):
-        if abs(end[-1] - value) < _AT_VALUE:
-            found.append(end)
-
     off = points[:, -1] - value
+    is_at = np.abs(off) < _AT_VALUE
+    found = [*points[is_at]]
+
     across = across_last(points.shape[1])
-    for k in np.flatnonzero(off[1:] * off[:-1] < 0).tolist():
+    passes = (off[1:] * off[:-1] < 0) & ~is_at[1:] & ~is_at[:-1]
+    for k in np.flatnonzero(passes).tolist():
         share = off[k] / (off[k] - off[k + 1])
         guess = (1 - share) * points[k] + share * points[k + 1]
         passed = correct_on_curve(equations, guess[:, None], across)

@@ -32,6 +32,9 @@ from gaitsweep.tasks.step.several_steps import from_largest
 _PARTS = 4
 #: How often extremes between samples are sampled.
 _REFINED = 2
+#: What a gait that is located may lack of a value, over what the samples that bracket it
+#: do: it has no value where the scalar jumps.
+_LEFT = 1e-3
 #: How far a gait may lie from the samples that bracket it, over their distance.
 _NEAR = 1.5
 
@@ -161,14 +164,17 @@ class Sampled:
         is_long = np.concatenate([self.is_long, other.is_long])
         X = np.hstack([self.X, other.X])
 
-        order = np.argsort(place)
-        return Sampled(
-            self.curve,
-            self.condition,
-            place[order],
-            values[order],
-            is_long[order],
-            X[:, order],
+        both = replace(self, place=place, values=values, is_long=is_long, X=X)
+        return both._some(np.argsort(place))
+
+    def _some(self, some: np.ndarray) -> Sampled:
+        """Some of the samples, by their numbers or a mask."""
+        return replace(
+            self,
+            place=self.place[some],
+            values=self.values[some],
+            is_long=self.is_long[some],
+            X=self.X[:, some],
         )
 
     # A measure may be infinite: the friction that a contact needs which would pull.
@@ -246,13 +252,18 @@ class Sampled:
         Along the curve Newton's method is the secant method, from the two samples that
         bracket a value; across it the gait's equations have exact derivatives.
         """
-        value, k = self._brackets(wanted)
+        # Where the scalar has no value its neighbours are compared.
+        numbers = np.flatnonzero(~np.isnan(self.values))
+        known = self._some(numbers)
+        value, k = known._brackets(wanted)
         if not len(value):
             return Passed(value, np.empty(0), self.X[:, :0])
 
-        place, X, ok = self._solved(k, wanted[value])
+        place, X, ok = known._solved(k, wanted[value])
+        # Newton's method may lead to where it has none.
+        ok &= np.diff(numbers)[k] == 1
         for lane in np.flatnonzero(~ok).tolist():
-            located = self._locate(k[lane], wanted[value[lane]])
+            located = known._locate(k[lane], wanted[value[lane]])
             X[:, lane] = located
             ok[lane] = np.isfinite(located).all()
         ok &= ~_are_twins(value, X, ok)
@@ -285,7 +296,7 @@ class Sampled:
     def _locate(self, k: int, wanted: float) -> np.ndarray:
         """The gait (u,) with a value between a sample and the next, by bisection and
         interpolation along the curve; NaN where corrected gaits do not bracket it, or
-        where the measure changes its sign through infinity.
+        where the measure changes its sign through infinity or jumps.
 
         Where a measure changes much more across a curve than along it, Newton's method
         fails.
@@ -309,7 +320,8 @@ class Sampled:
             return np.full(len(chord), np.nan)
 
         ends = np.abs(self.values[k : k + 2] - wanted)
-        if abs(off(place)) > ends.max():
+        is_near = abs(off(place)) <= _LEFT * ends.max()
+        if not is_near:
             return np.full(len(chord), np.nan)
         return corrected(place)[:, 0]
 
@@ -325,11 +337,12 @@ class Sampled:
         """Numbers of the values that lie between a sample and the next, and those
         samples.
         """
-        # A sample that has a value belongs to what follows it.
-        is_above = self.values >= wanted[:, None]
-        has_value = np.isfinite(self.values)
-        is_passed = is_above[:, 1:] != is_above[:, :-1]
-        is_passed &= has_value[1:] & has_value[:-1]
+        side = np.sign(self.values - wanted[:, None])
+        is_finite = np.isfinite(self.values)
+        # A sample that has a value ends two brackets, of which one may lead to it.
+        is_passed = side[:, 1:] * side[:, :-1] <= 0
+        is_passed &= side[:, 1:] != side[:, :-1]
+        is_passed &= is_finite[1:] & is_finite[:-1]
         value, k = np.nonzero(is_passed)
         return value, k
 

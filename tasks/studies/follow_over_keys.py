@@ -26,9 +26,9 @@ from gaitsweep.tasks.branches.equations import (
 from gaitsweep.tasks.branches.meetings import Followed, followed, met
 from gaitsweep.tasks.branches.special_points import RATES
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
-from gaitsweep.tasks.measures.passed import Curve
-from gaitsweep.tasks.mechanics.sums import norm
+from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.step.problem import EPS
+from gaitsweep.tasks.step.sameness import SAME_POINT, same
 from gaitsweep.tasks.studies.curve_rows import FORM, rows, start_and_period
 from gaitsweep.tasks.studies.gaits_over_key import (
     SURVEYED,
@@ -44,10 +44,6 @@ _NO_START = (
     "No point to start a curve from was found along gaits over either key, at five "
     "values of the other."
 )
-#: Samples of a condition between two nodes of a curve of gaits.
-_PARTS = 4
-#: How far a point may lie from the samples that bracket it, over their distance.
-_NEAR = 3.0
 _KEYS = ("key", "value", "other_key", "other_value")
 _PLACE = ("slope", *_KEYS, "stance_angle", *RATES, "period")
 _CURVES = ("curve", "kind", *_PLACE, "error_bound", *FORM, "walks", "stopped")
@@ -180,11 +176,10 @@ def _curves(
     """Curves of a condition, each once."""
     (condition,) = equations.conditions
     seen: list[np.ndarray] = []
-    for guess, fixed, length in _starts(condition, along):
+    for guess, fixed in _starts(condition, along):
         border = np.eye(len(guess))[:, [fixed]]
         first = correct_on_curve(equations, guess[:, None], border)
-        is_near = norm(first.Z - guess[:, None])[0] < _NEAR * length
-        if not first.ok[0] or not is_near:
+        if not first.ok[0] or not same(first.Z[:, 0], guess, SAME_POINT):
             continue
         if is_on(equations, seen, first.Z[:, 0]):
             continue
@@ -206,22 +201,14 @@ def _is_genuine(condition: Condition, jacobian: np.ndarray) -> bool:
 
 def _starts(
     condition: Condition, along: Sequence[tuple[int, float, Curve]]
-) -> Iterator[tuple[np.ndarray, int, float]]:
-    """Points (u,) at which gaits over a key pass a condition, the number of the other
-    key among the unknowns, and the distance of the samples that bracket them.
+) -> Iterator[tuple[np.ndarray, int]]:
+    """Points (u,) at which gaits over a key pass a condition, and the number of the other
+    key among the unknowns.
     """
     for number, fixed, curve in along:
-        last = curve.nodes - 1
-        X = curve.at(np.linspace(0.0, last, _PARTS * last + 1))
-        off = condition.residual(curve.equations.evaluate(X))
-        passed = np.flatnonzero(off[1:] * off[:-1] < 0)
-        for k in passed.tolist():
-            share = off[k] / (off[k] - off[k + 1])
-            chord = X[:, k + 1] - X[:, k]
-            there = X[:, k] + share * chord
-            keys = [there[-1], fixed] if number == 0 else [fixed, there[-1]]
-            length = float(norm(chord[:, None])[0])
-            yield np.append(there[:-1], keys), -1 - number, length
+        for X in Sampled.of(curve, condition).passes_target().X.T:
+            keys = [X[-1], fixed] if number == 0 else [fixed, X[-1]]
+            yield np.append(X[:-1], keys), -1 - number
 
 
 def _place(plane: _Plane, equations: Equations, X: np.ndarray) -> tuple[Any, ...]:

@@ -299,8 +299,10 @@ class _Search:
         """Whether a start led to the best gait."""
         if self.best is None or isinstance(self.verified[start], str):
             return False
+        # Objectives are of order one, also where the best of all is 0.
         best = self.ends[self.best].value
-        return abs(self.ends[start].value - best) <= _SAME * abs(best)
+        size = max(1.0, abs(best))
+        return abs(self.ends[start].value - best) <= _SAME * size
 
     def outcome(self, start: int) -> str:
         """Where a start led, in words."""

@@ -12,6 +12,7 @@ import gaitsweep
 from gaitsweep.tasks.branches import curves
 from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.curves import (
+    at_value,
     follow,
     follow_both_directions,
     turning,
@@ -475,6 +476,19 @@ class Plane(Equations):
 
 def circle(q, key):
     return q * q + key * key - 1, [2 * q, 2 * key]
+
+
+def test_a_curve_has_a_value_at_a_point_of_its_own_that_is_no_end():
+    """Neither of the segments beside it changed its sign."""
+    angle = np.array([-0.5, 0.0, 0.5, np.pi / 2, np.pi - 0.2])
+    points = np.column_stack([np.zeros(5), np.cos(angle), np.sin(angle)])
+
+    (node,) = at_value(Plane(circle), points, 0.0)
+    first, second = at_value(Plane(circle), points, np.sin(0.5))
+
+    assert node.tolist() == [0.0, 1.0, 0.0]
+    q = np.cos(0.5)
+    assert [first[1], second[1]] == pytest.approx([q, -q], abs=1e-9)
 
 
 def ended(key):

@@ -404,6 +404,20 @@ def test_a_violation_that_is_ruled_out_stays_within_its_limit():
     assert limited["optimum"]["froude_speed"][0] < free["optimum"]["froude_speed"][0]
 
 
+def test_all_starts_lead_to_an_optimum_that_is_0():
+    """They had to end at one last digit."""
+    found = solved(
+        "B",
+        [0.005, 0.1],
+        minimise="m_h",
+        free={"m_h": [0.0, 2.0]},
+        stable=False,
+    )
+
+    assert found["optimum"]["m_h"][0] == 0
+    assert found["optimum"]["hits"][0] == found["optimum"]["begun"][0] == 4
+
+
 def test_short_gaits_are_found_where_only_those_are_wanted():
     asked = {
         "maximise": "froude_speed",

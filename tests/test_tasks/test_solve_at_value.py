@@ -8,7 +8,7 @@ import pytest
 from gaitsweep.tasks.measures.levels import measures
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
 from gaitsweep.tasks.studies.solve_at_value import solve_at_value
-from gaitsweep.tasks.studies.solve_points import atlas, points
+from gaitsweep.tasks.studies.solve_points import points
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas
@@ -57,48 +57,6 @@ def test_gaits_at_a_value_are_those_of_a_dense_grid(walker, measure, value):
     assert slopes == pytest.approx(expected, rel=1e-4) and expected
     for gait in found["gaits"]:
         assert gait[measure] == pytest.approx(value, rel=1e-11)
-
-
-def crossings_on_pieces(measure, value, slope, steps):
-    """Slopes at which gaits of D of some steps pass a value, by linear interpolation on
-    each piece of their branches.
-    """
-    line = {"walker": "D", "set": {}}
-    request = {"line": line, "slope": slope, "want": (measure,), "steps": steps}
-    grid = points(request, [atlas({"line": line, "steps": steps}, [])])
-    found = []
-    on_pieces = grid["branch"] * 100 + grid["piece"]
-    for piece in np.unique(on_pieces[grid["status"] == 0]).tolist():
-        row, gait = np.nonzero((on_pieces == piece) & (grid["status"] == 0))
-        off, q = grid[measure][row, gait] - value, slope[row]
-        for k in np.flatnonzero(off[1:] * off[:-1] < 0).tolist():
-            share = off[k] / (off[k] - off[k + 1])
-            found.append(float(q[k] + share * (q[k + 1] - q[k])))
-    return sorted(found)
-
-
-@pytest.mark.parametrize(
-    ("steps", "measure", "value", "window"),
-    [
-        (2, "speed", 0.128, (0.0152, 0.03)),
-        pytest.param(2, "friction_demand", 0.3, (0.0152, 0.03), marks=SLOW),
-        pytest.param(4, "stance_angle", 0.236, (0.0101, 0.0211), marks=SLOW),
-        pytest.param(4, "speed", 0.116, (0.0101, 0.0211), marks=SLOW),
-    ],
-)
-def test_gaits_of_several_steps_at_a_value_are_those_of_a_dense_grid(
-    steps, measure, value, window
-):
-    slope = np.linspace(*window, 120)
-    expected = crossings_on_pieces(measure, value, slope, steps)
-
-    found = at("D", measure, value, between=window, steps=steps)["gaits"]
-
-    slopes = [gait["slope"] for gait in found]
-    assert slopes == pytest.approx(expected, rel=1e-4) and expected
-    for gait in found:
-        assert gait[measure] == pytest.approx(value, rel=1e-11)
-        assert gait["error_bound"] < 1e-12
 
 
 def test_a_gait_at_a_value_is_the_one_that_its_slope_has():
