@@ -69,20 +69,17 @@ def write(
     folder: Path,
     only: bool,
     bundle: bool,
-    tell: Callable[[int], object] = lambda made: None,
+    tell: Callable[[int, float], object] = lambda made, left: None,
     extra: "Sequence[tuple[str, Figure, str]]" = (),
 ) -> Path:
-    """Write the pages as `report` does; `tell` is told the number of pages made, before
-    the first and after each.
+    """Write the pages as `report` does; `tell` is told the number of pages made and the
+    time to go [s], before the first and after each.
     """
-    read.probe(archives)
-    for path in archives:
-        with read.open_archive(path):
-            pass
     # Asked whether an array is one of dask's, xarray would import dask.array, and so
     # half of SciPy: a second a process.
     no_dask = sys.modules.setdefault("dask.array", None) is None  # type: ignore[arg-type]
     try:
+        read.probe(archives, meanwhile=_load_pages)
         from gaitsweep.pipeline.report import pages
 
         return pages.write(archives, folder, only, tell, bundle, extra)
@@ -91,6 +88,11 @@ def write(
     finally:
         if no_dask:
             del sys.modules["dask.array"]
+
+
+def _load_pages() -> None:
+    """Load what pages are made with, which takes as long as to read many archives."""
+    from gaitsweep.pipeline.report import pages  # noqa: F401
 
 
 @in_turn

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -266,9 +266,11 @@ def _chunk(variable: Any) -> tuple[int, ...]:
     return (*np.atleast_1d(variable.group().checksum_chunk).tolist(), 1, *inner[1:])
 
 
-def probe(paths: Iterable[Path]) -> None:
+def probe(
+    paths: Iterable[Path], meanwhile: Callable[[], object] = lambda: None
+) -> None:
     """Read archives completely in another process first: a damaged file can crash or
-    hang the netCDF library.
+    hang the netCDF library. `meanwhile` is called while it reads.
 
     Raises
     ------
@@ -282,13 +284,13 @@ def probe(paths: Iterable[Path]) -> None:
         # To start Python takes longer than to read most; each is tried alone only to
         # find the one that is damaged.
         with contextlib.suppress(ArchiveError, WorkerError):
-            _probe(paths)
+            _probe(paths, meanwhile)
             return
     for path in paths:
-        _probe([path])
+        _probe([path], meanwhile)
 
 
-def _probe(paths: list[Path]) -> None:
+def _probe(paths: list[Path], meanwhile: Callable[[], object] = lambda: None) -> None:
     """Read archives in one other process; errors name the first."""
     # Threads of a numerical library are not needed, and may be refused.
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -304,13 +306,16 @@ def _probe(paths: list[Path]) -> None:
     ]
     try:
         null = subprocess.DEVNULL
-        code = subprocess.run(
+        process = subprocess.Popen(
             command, stdin=null, stdout=null, stderr=null, env=environment
-        ).returncode
+        )
     except OSError as error:
         raise WorkerError(
             f"{path} cannot be tried in another process: {error.strerror}."
         ) from error
+    with process:
+        meanwhile()
+    code = process.returncode
     if code < 0:
         what = "hangs" if code == -signal.SIGXCPU else "crashes"
         raise ArchiveError(f"{path} is damaged: the netCDF library {what} on it.")

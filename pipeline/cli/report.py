@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.api.reports import write
 
+#: Of the bar, which counts pages; the time to go stands behind it.
+_FORMAT = "{bar:20} {n_fmt}/{total_fmt} {unit} [{elapsed}{postfix}]"
 #: Of a terminal: one may not know its size.
 _ROWS = 20
 
@@ -28,21 +30,21 @@ def run(options: argparse.Namespace) -> int:
 
 
 @contextlib.contextmanager
-def _pages_counted(total: int) -> Iterator[Callable[[int], None]]:
+def _pages_counted(total: int) -> Iterator[Callable[[int, float], object]]:
     """Show on a terminal how many pages of a report are made."""
     if not terminal.is_terminal():
-        yield lambda made: None
+        yield lambda made, left: None
         return
 
     from tqdm import tqdm
 
-    columns = terminal.columns() - 1
-    with tqdm(total=total, unit="page", leave=False, ncols=columns, nrows=_ROWS) as bar:
+    size = {"ncols": terminal.columns() - 1, "nrows": _ROWS}
+    how = {"unit": "pages", "leave": False, "bar_format": _FORMAT, **size}
+    with tqdm(total=total, **how) as bar:
 
-        def tell(made: int) -> None:
-            if not made:
-                # What comes before is done once: libraries are loaded, archives read.
-                bar.unpause()
+        def tell(made: int, left: float) -> None:
+            if made:
+                bar.set_postfix_str(f"{terminal.duration(left)} to go", refresh=False)
             bar.update(made - bar.n)
 
         yield tell

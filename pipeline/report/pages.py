@@ -5,11 +5,13 @@ the data of every figure.
 import base64
 import contextlib
 import hashlib
+import math
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jinja2
 import joblib
@@ -25,6 +27,7 @@ from gaitsweep.pipeline.report.extra import pictures as extra_pictures
 from gaitsweep.pipeline.report.figures import Undrawn, draw, slices, starts
 from gaitsweep.pipeline.report.figures.svg import Drawing
 from gaitsweep.pipeline.report.source import Source, read
+from gaitsweep.pipeline.report.time_to_go import TimeToGo, work
 from gaitsweep.pipeline.report.words import grouped, plain
 
 #: HTML and CSS of the pages, and the modules of their script.
@@ -75,7 +78,7 @@ def write(
     archives: Iterable[Path],
     out: Path,
     only: bool = False,
-    tell: Callable[[int], object] = lambda made: None,
+    tell: Callable[[int, float], object] = lambda made, left: None,
     bundle: bool = False,
     extra: Sequence[tuple[str, Any, str]] = (),
 ) -> Path:
@@ -93,7 +96,8 @@ def write(
     only : bool
         Delete the other pages of earlier reports.
     tell : callable
-        Told the number of pages made, before the first and after each.
+        Told the number of pages made and the time to go [s], before the first, when
+        that is NaN, and after each.
     bundle : bool
         Write `bundle.html` too, which holds all pages of the folder; one that is there
         is kept up to date.
@@ -116,7 +120,9 @@ def write(
     OSError
         If the folder cannot be written.
     """
-    sources = [read(Path(archive)) for archive in archives]
+    archives = [Path(archive) for archive in archives]
+    ready = _started(len(archives))
+    sources = [read(archive) for archive in archives]
     pictures = extra_pictures(extra)
     if pictures and len(sources) != 1:
         raise StudyError(
@@ -129,8 +135,8 @@ def write(
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     slugs = _slugs(sources)
-    tell(0)
-    pages = _in_processes(sources, slugs, tell, pictures)
+    tell(0, math.nan)
+    pages = _in_processes(sources, slugs, tell, pictures, ready)
     with folder.locked(out):
         folder.combine(_environment(), out, pages, only, bundle)
     is_shown = len(sources) == 1 and not sources[0].only_claims
@@ -146,44 +152,85 @@ def _make(source: Source, slug: str, pictures: Sequence[Picture] = ()) -> folder
         return _study_page(source, slug, pictures)
 
 
+def _processes(pages: int) -> int:
+    """How many processes make some pages."""
+    return min(_MAX_PROCESSES, joblib.cpu_count(), pages)
+
+
+def _side_by_side(calls: Sequence[Any], processes: int) -> Iterable[Any]:
+    """What calls return, in the order in which they end; they begin at once."""
+    parallel = joblib.Parallel(
+        processes, return_as="generator_unordered", batch_size=1, pre_dispatch="all"
+    )
+    return cast(Iterable[Any], parallel(calls))
+
+
+def _started(pages: int) -> Iterable[Any]:
+    """Start the processes that make some pages: they load their libraries while the
+    archives are read.
+    """
+    processes = _processes(pages)
+    if processes > 1:
+        with contextlib.suppress(Exception):  # pages can be made here
+            return _side_by_side([joblib.delayed(_loaded)()] * processes, processes)
+    return ()
+
+
+def _loaded() -> None:
+    """Nothing, in a process that has loaded this module to do it."""
+
+
 def _in_processes(
     sources: list[Source],
     slugs: list[str],
-    tell: Callable[[int], object],
+    tell: Callable[[int, float], object],
     pictures: list[Picture],
+    ready: Iterable[Any],
 ) -> dict[str, folder.Page]:
     """What `_make` gives for each source, by slug; pages depend on no other, so every
-    core makes some.
+    core makes some, those of most work first, when they are `ready`.
 
     What processes do not deliver, for lack of memory or in error, is made here, where
     the error is raised.
     """
+    works = {slug: work(source) for source, slug in zip(sources, slugs, strict=True)}
+    called = dict(zip(slugs, sources, strict=True))
+    processes = _processes(len(sources))
+    to_go = TimeToGo(works, processes)
     made: dict[str, folder.Page] = {}
-    workers = min(_MAX_PROCESSES, joblib.cpu_count(), len(sources))
-    if workers > 1:
-        calls = [
-            joblib.delayed(_delivered)(source, slug)
-            for source, slug in zip(sources, slugs, strict=True)
-        ]
-        parallel = joblib.Parallel(
-            workers, return_as="generator_unordered", batch_size=1, pre_dispatch="all"
-        )
+
+    def take(slug: str, page: folder.Page, seconds: float) -> None:
+        made[slug] = page
+        to_go.count(slug, seconds)
+        tell(len(made), to_go.seconds)
+
+    if processes > 1:
+        first = sorted(slugs, key=lambda slug: -works[slug])
+        calls = [joblib.delayed(_delivered)(called[slug], slug) for slug in first]
         # Whatever happens to a process: an error of a page is raised again below.
         with contextlib.suppress(Exception):
-            for slug, page in parallel(calls):
-                made[slug] = page
-                tell(len(made))
+            list(ready)
+            for delivered in _side_by_side(calls, processes):
+                take(*delivered)
 
-    for source, slug in zip(sources, slugs, strict=True):
+    for slug in slugs:
         if slug not in made:
-            made[slug] = _make(source, slug, pictures)
-            tell(len(made))
+            take(*_timed(called[slug], slug, pictures))
     return {slug: made[slug] for slug in slugs}
 
 
-def _delivered(source: Source, slug: str) -> tuple[str, folder.Page]:
-    """A page with its slug, from a process of its own."""
-    return slug, _make(source, slug)
+def _delivered(source: Source, slug: str) -> tuple[str, folder.Page, float]:
+    """What `_timed` gives, from a process of its own."""
+    return _timed(source, slug, ())
+
+
+def _timed(
+    source: Source, slug: str, pictures: Sequence[Picture]
+) -> tuple[str, folder.Page, float]:
+    """A page with its slug, and the time that it took [s]."""
+    began = time.monotonic()
+    page = _make(source, slug, pictures)
+    return slug, page, time.monotonic() - began
 
 
 def _study_page(source: Source, slug: str, pictures: Sequence[Picture]) -> folder.Page:

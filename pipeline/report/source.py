@@ -99,7 +99,8 @@ class Line:
         data = self.data
         wanted = dict.fromkeys((*variables, "spectral_radius", "stance_angle", *RATES))
         dims = ("slope", "gait")
-        names = [v for v in wanted if v in data and data[v].dims == dims]
+        columns = {v: data[v] for v in wanted if v in data}
+        values = {v: one.values for v, one in columns.items() if one.dims == dims}
         slopes = data["slope"].values
         labels = data["gait"].values.astype(str)
         branch, piece = self._branch_and_piece()
@@ -113,14 +114,14 @@ class Line:
             has = here.any(axis=1)[row]
             column = here.argmax(axis=1)[row]
 
-            frame = pd.DataFrame({"slope": slopes[row]})
-            for name in names:
-                frame[name] = np.where(has, data[name].values[row, column], np.nan)
-            frame["stable"] = stable(frame)
-            frame["gait"] = np.where(has, labels[column], "")
-            frame["branch"] = number
-            frame["piece"] = part
-            yield frame
+            quantities = {
+                name: np.where(has, own[row, column], np.nan)
+                for name, own in values.items()
+            }
+            frame = pd.DataFrame({"slope": slopes[row], **quantities})
+            gaits = np.where(has, labels[column], "")
+            about = {"gait": gaits, "branch": number, "piece": part}
+            yield frame.assign(stable=stable(frame), **about)
 
     def _branch_and_piece(self) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the branch and of its piece of each gait (slope, gait); -1 where

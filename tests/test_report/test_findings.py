@@ -218,8 +218,8 @@ def test_words_move_away_from_a_curve():
         axes.plot(x, 0.5 + 0 * x)
         places = [(10, 0, "left"), (0, 20, "center")]
 
-        write_clear(axes, "0.0150", (0.5, 0.5), places)
-        write_clear(axes, "0.016", (0.5, 0.8), places)
+        words = [("0.0150", (0.5, 0.5)), ("0.016", (0.5, 0.8))]
+        write_clear(axes, words, places)
 
         boxes = _boxes(axes)
         assert not _touches(axes.lines[0], boxes["0.0150"])

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -21,6 +22,7 @@ from gaitsweep.pipeline.errors import ArchiveError
 from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.report import entry, folder, html_tables, ledger, pages, source
 from gaitsweep.pipeline.report.source import read
+from gaitsweep.pipeline.report.time_to_go import TimeToGo, work
 from gaitsweep.pipeline.report.words import plain, typeset
 from gaitsweep.pipeline.statuses import STATUS_NAMES
 from processes import on_a_terminal
@@ -301,9 +303,11 @@ def test_pages_made_in_one_process_or_several_have_the_same_bytes(
     if trouble == "killed":
         monkeypatch.setattr(pages, "_delivered", _die)
 
-    pages.write(archives, tmp_path, tell=told.append)
+    pages.write(archives, tmp_path, tell=lambda *said: told.append(said))
 
-    assert told == list(range(len(archives) + 1))
+    made, left = zip(*told, strict=True)
+    assert made == (*range(len(archives) + 1),)
+    assert np.isnan(left[0]) and min(left[1:-1]) > 0 and left[-1] == 0
     assert _files(tmp_path) == _files(report)
 
 
@@ -396,7 +400,44 @@ def test_the_pages_of_a_long_report_are_counted_on_a_terminal(archives, tmp_path
     code, said = on_a_terminal(arguments, tmp_path)
 
     assert code == 0
-    assert re.search(rf"[1-9]\d*/{len(archives)} \[", said)
+    assert re.search(rf"[1-9]\d*/{len(archives)} pages \[[^]]* to go\]", said)
+
+
+def test_the_time_to_go_of_a_report_is_that_of_the_work_that_is_left():
+    works = {"large": 6.0, "small": 1.0, "other": 1.0, "last": 2.0}
+    to_go = TimeToGo(works, processes=2)
+    assert np.isnan(to_go.seconds)
+
+    to_go.count("large", 12.0)
+    to_go.count("small", 2.0)
+
+    assert to_go.seconds == pytest.approx(2.0 * (1.0 + 2.0) / 2)
+
+
+def test_pages_of_more_figures_or_more_numbers_are_more_work(archives):
+    given = read(archives[0])
+    numbers = pd.DataFrame(np.zeros((1000, 1600)))
+    names = [*given.figures, "linear", "loglog"]
+
+    larger = replace(given, tables={**given.tables, "more": numbers})
+    longer = replace(given, study={**given.study, "want": {"figures": names}})
+
+    assert work(larger) == pytest.approx(work(given) + 2.0)
+    assert work(longer) == pytest.approx(work(given) + 2.0)
+
+
+def test_what_reads_archives_first_leaves_time_for_something_else(archives):
+    seen = []
+
+    archive_reader.probe(archives, meanwhile=lambda: seen.append(_children()))
+
+    assert len(seen) == 1 and seen[0] > _children()
+
+
+def _children():
+    """How many processes this one has."""
+    listed = Path(f"/proc/self/task/{os.getpid()}/children").read_text()
+    return len(listed.split())
 
 
 def test_drafts_of_a_report_that_was_killed_are_removed_by_the_next(

@@ -8,6 +8,7 @@ has 8 digits of a number in some 8 kilobytes (read by scripts/address.js).
 
 import itertools
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -130,33 +131,45 @@ def _predict(known: list[np.ndarray], x: int, s: int) -> np.ndarray:
     """Value at place x of the polynomial through the nearest of known values at 0, 2 s,
     4 s …, to a whole number.
     """
-    first = max(0, x // (2 * s) - _WIDTH // 2 + 1)
-    first = max(0, min(first, len(known) - _WIDTH))
-    nodes = range(first, min(first + _WIDTH, len(known)))
     total: Any = 0.0
+    for k, weight in _weights(len(known), x, s):
+        total = total + known[k] * weight
+    return np.asarray(np.floor(total + 0.5))
+
+
+@lru_cache(4096)
+def _weights(count: int, x: int, s: int) -> list[tuple[int, float]]:
+    """Numbers of the nearest of some nodes at 0, 2 s, 4 s …, and weights of their values
+    in that of their polynomial at place x (Lagrange): those of all fields of a map.
+    """
+    first = max(0, x // (2 * s) - _WIDTH // 2 + 1)
+    first = max(0, min(first, count - _WIDTH))
+    nodes = range(first, min(first + _WIDTH, count))
+    weights = []
     for k in nodes:
         weight = 1.0
         for other in nodes:
             if other != k:
                 weight *= (x - 2 * s * other) / (2 * s * k - 2 * s * other)
-        total = total + known[k] * weight
-    return np.asarray(np.floor(total + 0.5))
+        weights.append((k, weight))
+    return weights
 
 
 def _packed(residuals: np.ndarray) -> str:
     """Whole numbers as text: zeros by their count, others with their sign in the last
     bit.
     """
+    places = np.flatnonzero(residuals)
+    values = residuals[places]
+    zeros = np.diff(places, prepend=-1, append=len(residuals)) - 1
+    signed = np.where(values > 0, 2 * values - 1, -2 * values)
+
     parts = []
-    for is_zero, run in itertools.groupby(
-        residuals.tolist(), key=lambda value: value == 0
-    ):
-        if is_zero:
-            parts.append("0" + _digits(len(list(run)) - 1))
-        else:
-            parts += [
-                _digits(2 * value - 1 if value > 0 else -2 * value) for value in run
-            ]
+    for before, value in itertools.zip_longest(zeros.tolist(), signed.tolist()):
+        if before:
+            parts.append("0" + _digits(before - 1))
+        if value is not None:
+            parts.append(_digits(value))
     return "".join(parts)
 
 

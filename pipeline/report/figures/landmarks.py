@@ -112,14 +112,11 @@ def draw_at_angles(sketch: Sketch, axes: Axes, source: Source) -> pd.DataFrame:
             mew=2,
             zorder=6,
         )
-    for row in table.itertuples():
-        write_clear(
-            axes,
-            as_printed(row.printed, row.half_unit),
-            (row.printed, row.stance_angle),
-            _BESIDE,
-            color=PRINTED,
-        )
+    words = [
+        (as_printed(row.printed, row.half_unit), (row.printed, row.stance_angle))
+        for row in table.itertuples()
+    ]
+    write_clear(axes, words, _BESIDE, color=PRINTED)
     if len(table):
         sketch.key("paper's value, rounding range", PRINTED, lw=5, alpha=0.4)
     return printed if len(table) else table

@@ -251,18 +251,34 @@ def write_at(
 
 def write_clear(
     axes: Axes,
-    text: str,
-    at: tuple[float, float],
+    words: Sequence[tuple[str, tuple[float, float]]],
     places: Sequence[tuple[float, float, str]],
     **how: Any,
 ) -> None:
-    """Write words beside a point at the first of some places, (right, up, alignment) of
-    their middle line in points, where they stand on no curve and above the frame's
-    lower end; at the last if none is free.
+    """Write words beside a point each, at the first of some places, (right, up,
+    alignment) of their middle line in points, where they stand on no curve and above
+    the frame's lower end; at the last if none is free.
     """
+    if not words:
+        return
     figure: Any = axes.figure
     figure.get_layout_engine().execute(figure)
     curves = _pixels_of_curves(axes)
+
+    more: Any = {"fontsize": _CLEAR_SIZE, "va": "center", "bbox": None, **how}
+    for text, at in words:
+        right, up, aligned = _free_place(axes, text, at, places, curves)
+        write_at(axes, text, at, (right, up), ha=aligned, **more)
+
+
+def _free_place(
+    axes: Axes,
+    text: str,
+    at: tuple[float, float],
+    places: Sequence[tuple[float, float, str]],
+    curves: np.ndarray,
+) -> tuple[float, float, str]:
+    """The first of some places where words stand on no pixel of curves, else the last."""
     across, upward = axes.transData.transform(at)
     width, height = 0.62 * _CLEAR_SIZE * len(text) + 2, _CLEAR_SIZE + 3
 
@@ -278,8 +294,7 @@ def write_clear(
             and not ((apart >= 0) & (apart <= [width, height])).all(axis=1).any()
         ):
             break
-    more: Any = {"fontsize": _CLEAR_SIZE, "va": "center", "ha": aligned, "bbox": None}
-    write_at(axes, text, at, (right, up), **{**more, **how})
+    return right, up, aligned
 
 
 def _pixels_of_curves(axes: Axes) -> np.ndarray:
@@ -425,7 +440,7 @@ def end_labels(axes: Axes, ends: Sequence[End], side: str) -> None:
     gap = _GAP / (0.75 * float(axes.figure.bbox.height))
     ends, heights = _without_repeats(ends, [float(y) for _, y in places], gap)
     for end, height in zip(ends, spread_heights(heights, gap), strict=True):
-        axes.annotate(
+        name = axes.annotate(
             shorten(end.name),
             (end.x, end.y),
             xytext=(column, height),
@@ -443,6 +458,8 @@ def end_labels(axes: Axes, ends: Sequence[End], side: str) -> None:
                 "shrinkB": 2,
             },
         )
+        # Within the frame it takes no room, which is costly to find out.
+        name.set_in_layout(False)
 
 
 def _share_of_names(axes: Axes, ends: Sequence[End]) -> float:
