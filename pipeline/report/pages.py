@@ -5,6 +5,7 @@ the data of every figure.
 import base64
 import contextlib
 import hashlib
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -430,4 +431,6 @@ def _script() -> str:
             (_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES
         )
     )
+    # After a block no line need end before another statement.
+    text = re.sub(r"}\n(?=function |class |if|for|const |let |})", "}", text)
     return f'"use strict";\n(() => {{\n{text.replace(";}", "}")}\n}})();'
