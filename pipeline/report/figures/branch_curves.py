@@ -24,6 +24,7 @@ from gaitsweep.pipeline.report.figures.style import (
     inks,
     set_heading,
     thin,
+    write_clear,
 )
 from gaitsweep.pipeline.report.source import Line, Source, rows_at
 from gaitsweep.pipeline.report.words import (
@@ -41,6 +42,10 @@ _ANGLE = "stance angle θ* (rad)"
 #: Spectral radius above which it is rounding of one without bound.
 _UNBOUNDED = 1e12
 
+#: Where the number of a point may stand beside its mark, in a panel and enlarged.
+_NUMBERS = tuple((x, y, "center") for x, y in ((-14, -13), (14, -13), (14, 13)))
+_NUMBERS_NEAR = tuple((x, y, "center") for x, y in ((-24, 8), (4, 24), (24, -6)))
+
 #: The corner of a panel at the origin is enlarged if so many special points lie there.
 _CROWD = 3
 
@@ -56,9 +61,10 @@ class _Corner(NamedTuple):
     box: tuple[float, float, float, float]
 
 
-#: Of a figure of one panel, and of small multiples.
 #: Share of its value by which the edge of a window may differ from what is asked for.
 _EDGE = 1e-9
+
+#: Of a figure of one panel, and of small multiples.
 _ALONE = _Corner(0.25, 1.35, (0.56, 0.055, 0.42, 0.36))
 _AMONG = _Corner(0.12, 1.15, (0.53, 0.09, 0.45, 0.44))
 
@@ -315,6 +321,7 @@ def _frame_inset(axes: Axes, inset: Axes) -> None:
         tick = _round_below(end)
         getattr(inset, f"set_{which}ticks")([tick], [plain(tick, 2)])
     inset.tick_params(labelsize=7, length=2, pad=1.5)
+    inset.tick_params(axis="x", pad=3)  # below marks on the frame
     inset.grid(False)
     for spine in inset.spines.values():
         spine.set(visible=True, color=MUTED, linewidth=0.6)
@@ -414,27 +421,29 @@ def _draw_points(axes: Axes, inset: Axes | None, numbered: pd.DataFrame) -> None
     """Number the points as the paper does, beside thin lines to them, with the interval
     that rounding allows; those of the enlarged part there.
     """
+    is_near = np.zeros(len(numbered), bool)
+    if inset is not None:
+        is_near = (numbered["slope"] < inset.get_xlim()[1]).to_numpy()
+        _draw_numbers(inset, numbered[is_near], _NUMBERS_NEAR)
+    _draw_numbers(axes, numbered[~is_near], _NUMBERS)
+
+
+def _draw_numbers(axes: Axes, numbered: pd.DataFrame, places: Sequence[tuple[float, float, str]]) -> None:
+    """Number points of one frame, at the first of some places that is clear."""
+    words = []
     for row in numbered.itertuples():
-        is_near = inset is not None and row.slope < inset.get_xlim()[1]
-        panel = inset if inset is not None and is_near else axes
         if np.isfinite(row.slope_low):
             interval = [row.slope_low, row.slope_high]
-            panel.plot(interval, [row.stance_angle] * 2, color=MUTED, lw=0.8, zorder=4)
-        panel.annotate(
-            str(row.point),
-            (row.slope, row.stance_angle),
-            xytext=(-24, 8) if is_near else (-14, -13),
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            fontsize=10,
-            fontweight="bold",
-            annotation_clip=False,
-            arrowprops={
-                "arrowstyle": "-",
-                "color": MUTED,
-                "lw": 0.6,
-                "shrinkA": 1,
-                "shrinkB": 4,
-            },
-        )
+            axes.plot(interval, [row.stance_angle] * 2, color=MUTED, lw=0.8, zorder=4)
+        words.append((str(row.point), (row.slope, row.stance_angle)))
+
+    arrow = {"arrowstyle": "-", "color": MUTED, "lw": 0.6, "shrinkA": 1, "shrinkB": 4}
+    write_clear(
+        axes,
+        words,
+        places,
+        fontsize=10,
+        fontweight="bold",
+        annotation_clip=False,
+        arrowprops=arrow,
+    )
