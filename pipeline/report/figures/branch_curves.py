@@ -428,7 +428,9 @@ def _draw_points(axes: Axes, inset: Axes | None, numbered: pd.DataFrame) -> None
     _draw_numbers(axes, numbered[~is_near], _NUMBERS)
 
 
-def _draw_numbers(axes: Axes, numbered: pd.DataFrame, places: Sequence[tuple[float, float, str]]) -> None:
+def _draw_numbers(
+    axes: Axes, numbered: pd.DataFrame, places: Sequence[tuple[float, float, str]]
+) -> None:
     """Number points of one frame, at the first of some places that is clear."""
     words = []
     for row in numbered.itertuples():
