@@ -27,7 +27,8 @@ def dump(tree: Any) -> bytes:
 
     def plain(x: Any) -> Any:
         if isinstance(x, np.ndarray):
-            x = np.ascontiguousarray(x)
+            # `ascontiguousarray` would make a list of a number.
+            x = np.asarray(x, order="C")
             if x.dtype.kind not in "fiubU":
                 raise TypeError(f"an array of {x.dtype} cannot be kept")
             arrays.append(x)

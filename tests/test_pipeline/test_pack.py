@@ -12,8 +12,13 @@ from gaitsweep.pipeline import serialize
 
 _ARRAYS = hnp.arrays(
     st.sampled_from(["f8", "i1", "i2", "i4", "U3", "b1"]),
-    hnp.array_shapes(max_dims=3, min_side=0, max_side=4),
+    hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4),
 )
+
+
+def test_a_number_is_no_list_of_one():
+    found = serialize.load(serialize.dump({"passes": np.array(1)}))
+    assert found["passes"].shape == ()
 
 
 @settings(deadline=None, max_examples=60)
