@@ -61,6 +61,8 @@ def _lines(frame: pd.DataFrame) -> Iterator[str]:
     """The summary, then the rows that are no gaits, then the others."""
     yield str(frame.attrs["summary"])
     ordered = frame.sort_values("is_gait", kind="stable")
+    if not ordered.index.equals(frame.index):
+        yield "Rows that are no gaits come first."
     for number, row in ordered.head(_MOST).iterrows():
         words = [f"row {int(str(number)) + 1}: {row['reason']}"]
         if row["gait"]:

@@ -42,7 +42,9 @@ def page(frame: pd.DataFrame, title: str) -> str:
     with style():
         drawing = render(_sketch(frame), "check", "check", small=False)
     rows = frame.assign(row=np.arange(1, len(frame) + 1))
-    rows = rows.sort_values("is_gait", kind="stable")[_COLUMNS]
+    ordered = rows.sort_values("is_gait", kind="stable")
+    is_moved = not ordered.index.equals(rows.index)
+    note = "States that are no gaits come first." if is_moved else ""
     counts = frame["verdict"].value_counts().rename_axis("verdict").reset_index()
     return render_template(
         "check.html",
@@ -52,7 +54,9 @@ def page(frame: pd.DataFrame, title: str) -> str:
         counts=html_tables.named(
             "check/verdicts", counts, is_open=True, where="answer"
         ),
-        rows=html_tables.named("check/states", rows, is_open=True, where="answer"),
+        rows=html_tables.named(
+            "check/states", ordered[_COLUMNS], is_open=True, where="answer", note=note
+        ),
     )
 
 

@@ -12,6 +12,7 @@ from gaitsweep.tasks.branches.nearest import between_nodes
 from gaitsweep.tasks.check.case import Case
 from gaitsweep.tasks.check.rows import State
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.several_steps import begun_at
 
 
 def answer(case: Case) -> dict[str, Any]:
@@ -19,7 +20,9 @@ def answer(case: Case) -> dict[str, Any]:
     flown = case.flown & (case.verdict == "gait")
     case.reason[flown] = "A gait, in the middle of a step."
 
-    curves = [_curve(problem, branch) for problem, branch in _pictured(case)]
+    curves = []
+    for problem, branch in _pictured(case):
+        curves += _curves(problem, branch)
     judged = _columns(case, case.rows.state)
     nearest = _columns(case, case.nearest.state)
     nearest = {f"nearest_{name}": values for name, values in nearest.items()}
@@ -58,18 +61,24 @@ def _said(case: Case) -> dict[str, np.ndarray]:
 
 
 def _pictured(case: Case) -> Iterator[tuple[Problem, Branch]]:
-    """Branches with their problem: over slopes above 0 and, where rows are on other
-    ground, over all.
+    """Branches with their problem: of gaits of all steps that are tried over slopes above
+    0 and, where rows are on other ground, of one step over all.
     """
-    for _, problem, branches, counted in case.grounds.of(case.rows.slope):
-        if len(counted):
-            for branch in branches:
-                yield problem, branch
+    slope = case.rows.slope
+    followed = [*case.grounds.downhill] if (slope > 0).any() else []
+    if (slope <= 0).any() and case.grounds.is_driven:
+        followed.append(case.grounds.over_any_slope)
+    for problem, branches in followed:
+        for branch in branches:
+            yield problem, branch
 
 
-def _curve(problem: Problem, branch: Branch) -> dict[str, np.ndarray]:
+def _curves(problem: Problem, branch: Branch) -> Iterator[dict[str, np.ndarray]]:
     """Points along a branch for a picture, several between its nodes, which are where it
-    bends.
+    bends: a curve for each of the steps at which its gaits may begin.
     """
     Z = np.hstack([*between_nodes(branch)])
-    return {"slope": problem.slopes(np.exp(Z[-1])), "stance_angle": np.exp(Z[0])}
+    slope = problem.slopes(np.exp(Z[-1]))
+    for first in range(problem.steps):
+        w = begun_at(Z[:-1], problem.m, problem.steps, first)
+        yield {"slope": slope, "stance_angle": np.exp(w[0])}

@@ -52,7 +52,8 @@ class Case:
     candidates : list of Gaits
         Gaits at the slopes of the rows, one of each in every set.
     nearest, distance, label : Gaits, ndarray, shape (n,)
-        The gait nearest to the state, how far it is, relative, and what it is called.
+        The gait nearest to the state, or to what this is without its fault, how far it
+        is, relative, and what it is called.
     other : ndarray of str, shape (n,)
         Walker of the catalogue of which the state is a gait.
     """
@@ -113,11 +114,23 @@ class Case:
 
     def say_period(self, lanes: Numbers) -> None:
         """Give some rows the verdict that they repeat after other steps than claimed."""
-        words = []
-        for count in self.nearest.steps[lanes].tolist():
-            plural = "s" if count > 1 else ""
-            words.append(f"{count} step{plural}")
-        self.say("period", lanes, steps=words)
+        self.say("period", lanes, steps=self._steps_in_words(lanes))
+
+    def say_fault(self, verdict: str, lanes: Numbers) -> None:
+        """Give some rows the verdict of their fault, and say after how many steps they
+        repeat if these are not as many as claimed.
+        """
+        self.say(verdict, lanes)
+        for lane, words in zip(
+            lanes.tolist(), self._steps_in_words(lanes), strict=True
+        ):
+            if self.nearest.steps[lane] != self.claimed:
+                self.reason[lane] += f" It repeats after {words}."
+
+    def _steps_in_words(self, lanes: Numbers) -> list[str]:
+        """After how many steps the gaits nearest to some rows repeat."""
+        counts = self.nearest.steps[lanes].tolist()
+        return [f"{count} step{'s' * (count > 1)}" for count in counts]
 
     def say_slope(self, lanes: Numbers, slopes: Slopes) -> None:
         """Give some rows the verdict that they are gaits of other slopes."""
@@ -178,16 +191,24 @@ class Case:
             match[are & (match < 0)] = number
         return match
 
-    def take_candidates(self, lanes: Numbers, numbers: Numbers) -> None:
-        """Make candidates, by their numbers, the nearest gaits of some rows."""
+    def take_candidates(self, lanes: Numbers, numbers: Numbers, state: State) -> None:
+        """Make candidates, by their numbers, the nearest gaits of some rows, whose states
+        (3, k) are without their fault.
+        """
         for number, gaits in enumerate(self.candidates):
-            some = lanes[numbers == number]
-            self.set_nearest(some, some_gaits(gaits, some))
+            is_own = numbers == number
+            some = lanes[is_own]
+            self.set_nearest(some, some_gaits(gaits, some), state[:, is_own])
 
-    def set_nearest(self, lanes: Numbers, gaits: Gaits) -> None:
-        """Make gaits of k lanes the nearest of some k rows."""
+    def set_nearest(
+        self, lanes: Numbers, gaits: Gaits, state: State | None = None
+    ) -> None:
+        """Make gaits of k lanes the nearest of some k rows, whose states (3, k) are
+        others if they have a fault.
+        """
         self.nearest.put(lanes, gaits)
-        self.distance[lanes] = relative_distance(self.states(lanes), gaits.state)
+        own = self.states(lanes) if state is None else state
+        self.distance[lanes] = relative_distance(own, gaits.state)
         places, passes = gaits.place.tolist(), gaits.passes.tolist()
         for lane, place, times in zip(lanes.tolist(), places, passes, strict=True):
             is_once = times == 1

@@ -25,8 +25,8 @@ def judge_faults(case: Case) -> None:
         # A walker whose unit of time is 1 has the same rates either way.
         is_same = case.within(state, given, lanes, 2 * CHANGED)
         are = (numbers >= 0) & ~is_same
-        case.take_candidates(lanes[are], numbers[are])
-        case.say(verdict, lanes[are])
+        case.take_candidates(lanes[are], numbers[are], state[:, are])
+        case.say_fault(verdict, lanes[are])
     _judge_before_heelstrike(case)
 
 
@@ -45,8 +45,11 @@ def _judge_before_heelstrike(case: Case) -> None:
         ):
             are = case.within(state, np.array(before), lanes, CHANGED)
             are &= (case.verdict[lanes] == "") & ~is_near
-            case.set_nearest(lanes[are], some_gaits(gaits, lanes[are]))
-            case.say("before_heelstrike", lanes[are])
+            # As near as to what the gait is there.
+            gait = gaits.state[:, lanes]
+            after = gait + state - np.array(before)
+            case.set_nearest(lanes[are], some_gaits(gaits, lanes[are]), after[:, are])
+            case.say_fault("before_heelstrike", lanes[are])
 
 
 @dataclass(frozen=True)

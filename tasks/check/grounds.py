@@ -59,19 +59,25 @@ class Grounds:
 
     @cached_property
     def downhill(self) -> list[Followed]:
-        """Branches over slopes above 0 of gaits of one step, and of the claimed ones."""
+        """Branches over slopes above 0 of gaits of one step, and of the claimed ones and
+        their divisors.
+        """
         return [(self.problem, self.branches), *self._cycles]
 
     @cached_property
     def _cycles(self) -> list[Followed]:
-        """Branches over slopes above 0 of gaits of the claimed steps, if several."""
-        if self.claimed == 1:
-            return []
-        followed = cycle_branches(self.problem, self.branches, self.claimed)
-        return [(self.problem.of_steps(self.claimed), followed)]
+        """Branches over slopes above 0 of gaits of the claimed steps, and of fewer, not
+        one, after which those that are claimed repeat too.
+        """
+        cycles = []
+        for steps in range(2, self.claimed + 1):
+            if self.claimed % steps == 0:
+                followed = cycle_branches(self.problem, self.branches, steps)
+                cycles.append((self.problem.of_steps(steps), followed))
+        return cycles
 
     def gaits_at(self, slope: Slopes) -> list[Gaits]:
-        """The gaits at slopes (n,) of one step and of the claimed ones, in as many sets as
+        """The gaits at slopes (n,) of one step and of those of `downhill`, in as many sets as
         there are pieces of branches and steps at which they may begin.
         """
         if not len(slope):

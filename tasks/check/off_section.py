@@ -86,9 +86,10 @@ def _judge_vertical(case: Case, lanes: Numbers) -> None:
     """Tell rows that are gaits by the angle between the legs, at the slope given."""
     lanes = lanes[case.verdict[lanes] == ""]
     case.solve_gaits(lanes)
-    numbers = case.match(lanes, case.states(lanes))
+    state = case.states(lanes)
+    numbers = case.match(lanes, state)
     are = numbers >= 0
-    case.take_candidates(lanes[are], numbers[are])
+    case.take_candidates(lanes[are], numbers[are], state[:, are])
     case.say("from_vertical", lanes[are])
 
 

@@ -537,13 +537,13 @@ class _Phase:
         samples = []
         if when and outcome != LOST:
             at = when(begin, end)
-            states = motion(at).reshape(len(at), len(state))  # perhaps of none
-            samples = [self._sampled(states.T, begin + at)]
+            samples = [self._sampled(motion(at), begin + at)]
         return state, begin + end, outcome, samples
 
     def _sampled(self, states: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """Times, and angles and rates of three links, from states (2 links, k)."""
-        angles, rates = np.split(states, 2)
+        """Times, and angles and rates of three links, from states at these."""
+        by_time = states.reshape(len(time), 2 * self.links)  # perhaps at none
+        angles, rates = np.split(by_time.T, 2)
         links = [0, 1, self.links - 1]
         return np.vstack([time, angles[links], rates[links]])
 

@@ -195,6 +195,56 @@ def test_a_gait_of_two_steps_taken_for_one_is_told():
     assert two["verdict"] == "gait" and two["missed"] < 1e-9
 
 
+def test_a_row_with_a_fault_is_as_far_from_its_gait_as_without_it():
+    state = gait_of("D", 0.009)
+    table = [state * [-1, 1, 1], np.degrees(state), state * [1 + 1e-7, -1, -1]]
+
+    told = gaitsweep.check(table, "D", 0.009)
+
+    assert told["verdict"].tolist() == ["sign_of_angle", "degrees", "sign_of_rates"]
+    np.testing.assert_allclose(told["distance"], [0, 0, 1e-7], atol=1e-9)
+
+
+def test_a_row_just_before_heelstrike_is_as_far_from_its_gait_as_that_is_there():
+    walked = gaitsweep.simulate(
+        "D", 0.009, gait_of("D", 0.009), 1, samples=200, limits=True
+    )
+    at = int(np.flatnonzero(walked["step_number"].values == 0)[-1])
+    before = [float(walked[name][at]) for name in ("theta_st", "rate_st", "rate_th")]
+
+    row = judged([before], "D", 0.009)
+
+    assert row["verdict"] == "before_heelstrike" and row["distance"] < 1e-6
+
+
+def test_gaits_of_fewer_steps_than_claimed_are_told_with_a_fault_too():
+    """Those that divide the claimed ones repeat after these as well."""
+    one, two = gait_of("D", 0.0165), gait_of("D", 0.0165, steps=2)
+    table = [one, two, -one, -two]
+
+    told = gaitsweep.check(table, "D", 0.0165, steps=4)
+
+    assert told["verdict"].tolist() == ["period", "period", "mirrored", "mirrored"]
+    assert told["steps"].tolist() == [1, 2, 1, 2]
+    for reason, words in zip(told["reason"], ["1 step", "2 steps"] * 2, strict=True):
+        assert reason.lower().endswith(f"repeats after {words}.")
+
+
+def test_the_picture_has_the_gaits_of_several_steps_that_are_claimed():
+    angles = states_of_cycle("D", 0.0165, 2)[:, 0]
+
+    told = gaitsweep.check([gait_of("D", 0.0165, steps=2)], "D", 0.0165, steps=2)
+
+    drawn = []
+    for curve in told.attrs["curves"]:
+        if curve["slope"].min() < 0.0165 < curve["slope"].max():
+            order = np.argsort(curve["slope"])
+            known = curve["slope"][order], curve["stance_angle"][order]
+            drawn.append(np.interp(0.0165, *known))
+    for angle in angles:
+        assert np.abs(np.array(drawn) - angle).min() < 1e-5
+
+
 CYCLES = [
     pytest.param("D", 0.0165, 2),
     pytest.param("B", 0.018, 4, marks=pytest.mark.thorough),
@@ -807,7 +857,7 @@ def test_the_command_tells_verdicts_and_fails_if_one_is_no_gait(file, tmp_path, 
         commands.main(
             [
                 *words,
-                "-o",
+                "--page",
                 str(tmp_path / "page.html"),
             ]
         )
@@ -815,7 +865,8 @@ def test_the_command_tells_verdicts_and_fails_if_one_is_no_gait(file, tmp_path, 
     )
     told = capsys.readouterr().out.splitlines()
     assert told[0] == "1 of 2 states are gaits; the others: 1 sign of stance rate."
-    assert told[1].startswith("row 2: A gait with the sign of the stance rate changed.")
+    assert told[1] == "Rows that are no gaits come first."
+    assert told[2].startswith("row 2: A gait with the sign of the stance rate changed.")
 
     page = (tmp_path / "page.html").read_text()
     assert told[0] in page and "<svg" in page and "sign of stance rate" in page
@@ -1098,7 +1149,7 @@ def test_a_page_of_states_replaces_no_other_file(file, capsys):
     table = file.read_text()
     words = ["check", str(file), "--walker", "D", "--map", "gamma=slope"]
 
-    assert commands.main([*words, "-o", str(file)]) != 0
+    assert commands.main([*words, "--page", str(file)]) != 0
 
     assert "is not a file of gaitsweep" in capsys.readouterr().err
     assert file.read_text() == table
