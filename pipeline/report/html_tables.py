@@ -49,7 +49,7 @@ class Table:
     the columns.
 
     `frame` holds all rows, for the CSV file that is called after `name`; `gaits` are
-    the addresses of the rows' gaits.
+    the addresses of the rows' gaits. One that is `turned` has a column for each walker.
     """
 
     caption: str
@@ -62,6 +62,7 @@ class Table:
     gaits: list[str] = field(default_factory=list)
     most: int = MAX_COLUMNS
     is_open: bool = False
+    turned: bool = False
 
     @property
     def numeric(self) -> list[bool]:
@@ -140,12 +141,27 @@ def _excerpt(
     if name == "design" and len(frame) > most:
         shown = frame.iloc[spread_evenly(len(frame), most)]
 
+    telling = _telling(shown)
+
     def rank(column: Any) -> tuple[bool, bool]:
         is_constant = whole.get(column, frame[column]).nunique() == 1
         tells_little = len(shown) > 1 and is_constant and column not in _KEPT
-        return column in _LAST, tells_little
+        return column in _LAST and column not in telling, tells_little
 
     return shown[sorted(frame.columns, key=rank)]
+
+
+def _telling(frame: pd.DataFrame) -> set[str]:
+    """Columns of words, of those that would stand last, that tell apart rows which all
+    others call the same.
+    """
+    words = {str(c) for c in frame if not pd.api.types.is_numeric_dtype(frame[c])}
+    last = words & set(_LAST)
+    called = sorted(words - last)
+    if not called:
+        return set()
+    twofold = frame.duplicated(called).sum()
+    return {c for c in last if frame.duplicated([*called, c]).sum() < twofold}
 
 
 def sections(source: Source) -> dict[str, tuple[str, list[Table]]]:
@@ -264,7 +280,7 @@ def _transposed(name: str, frame: pd.DataFrame) -> Table:
         rows.append([cell(_head(column)), *values])
     meanings = ["", *frame.get("description", [""] * len(frame))]
     caption, heads = WORDS["tables"][name]["caption"], ["", *map(str, frame["walker"])]
-    return Table(caption, heads, rows, meanings=meanings, most=len(heads))
+    return Table(caption, heads, rows, meanings=meanings, most=len(heads), turned=True)
 
 
 def _printed_cells(name: str, frame: pd.DataFrame) -> Table:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gaitsweep.pipeline.report.source import Source
-from gaitsweep.pipeline.report.words import as_printed, fill, spaced
+from gaitsweep.pipeline.report.words import as_printed, fill, spaced, typeset
 
 PAPER = tomllib.loads(
     (Path(__file__).parent / "paper.toml").read_text(encoding="utf-8")
@@ -56,7 +56,7 @@ def claim(row: Mapping[str, Any]) -> str:
             PAPER["claims"][row["id"]], {k: v for k, v in row.items() if v is not None}
         )
     except KeyError:
-        return str(row.get("printed", ""))
+        return typeset(str(row.get("printed", "")))
 
 
 def _numbers(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,13 +9,14 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.text import Text
 
-from gaitsweep.pipeline.report import html_tables
-from gaitsweep.pipeline.report.figures import FIGURES, bifurcation
+from gaitsweep.pipeline.report import html_tables, pages, paper
+from gaitsweep.pipeline.report.figures import FIGURES, bifurcation, landmarks
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.stability import add_borders
 from gaitsweep.pipeline.report.figures.style import (
     COLOURS,
     PRINTED,
+    VARIABLES,
     WALKERS,
     End,
     end_labels,
@@ -216,6 +217,7 @@ def test_words_move_away_from_a_curve():
         (axes,) = sketch.panels
         x = np.linspace(0, 1, 400)
         axes.plot(x, 0.5 + 0 * x)
+        axes.set_ylim(0, 1)
         places = [(10, 0, "left"), (0, 20, "center")]
 
         words = [("0.0150", (0.5, 0.5)), ("0.016", (0.5, 0.8))]
@@ -255,7 +257,12 @@ def _basin(tmp_path, walks):
     )
     outcome = np.where(walks(x, y), "long", "fell forward")
     tables = {
-        "basin": {"stance_angle": x, "stance_rate": y, "outcome": outcome},
+        "basin": {
+            "slope": np.full(len(x), 0.01),
+            "stance_angle": x,
+            "stance_rate": y,
+            "outcome": outcome,
+        },
         "areas": {
             "outcome": ["fell forward", "long"],
             "area": [0.03, 0.0054],
@@ -392,3 +399,176 @@ def test_landmarks_at_other_slopes_than_a_studys_are_not_on_its_page(
     rows = [row for table in html_tables.landmarks(source) for row in table.rows]
 
     assert [row[0].text for row in rows] == shown
+
+
+@pytest.mark.parametrize("place", [(0.999, 0.5), (0.001, 0.5), (0.5, 0.999)])
+def test_words_beside_a_point_stay_within_the_frame(place):
+    places = [(8, 8, "left"), (-8, 8, "right"), (-8, -10, "right"), (8, -10, "left")]
+    with style():
+        sketch = Sketch("linear", 350)
+        (axes,) = sketch.panels
+        axes.set(xlim=(0, 1), ylim=(0, 1))
+
+        write_clear(axes, [("resonance 1:1", place)], places)
+
+        (box,) = _boxes(axes).values()
+    frame = axes.get_window_extent()
+    assert frame.x0 <= box.x0 and box.x1 <= frame.x1
+    assert frame.y0 <= box.y0 and box.y1 <= frame.y1
+
+
+@pytest.mark.parametrize("slope", [0.0705, 0.0995])
+def test_words_at_lines_across_a_panel_stay_within_its_frame(slope):
+    row = {
+        "walker": "C",
+        "printed": 0.085,
+        "half_unit": 0.0005,
+        "slope": slope,
+        "slope_low": 0.07,
+        "slope_high": 0.1,
+    }
+    with style():
+        sketch = Sketch("bifurcation", 300)
+        (axes,) = sketch.panels
+        axes.set(xlim=(0.07, 0.1), ylim=(0, 1))
+
+        landmarks.draw_over_slopes(axes, pd.DataFrame([row]))
+
+        boxes = _boxes(axes)
+    frame = axes.get_window_extent()
+    for box in boxes.values():
+        assert frame.x0 <= box.x0 and box.x1 <= frame.x1
+
+
+def test_the_number_of_a_point_stands_on_no_curve(tmp_path):
+    slope = np.linspace(0.01, 0.1, 200)
+    count = len(slope)
+    branches = {
+        "walker": ["C"] * (2 * count),
+        "branch": np.repeat([0, 1], count),
+        "slope": np.tile(slope, 2),
+        # The second curve passes where the number would stand.
+        "stance_angle": np.concatenate([np.sqrt(slope), np.sqrt(slope) - 0.03]),
+    }
+    point = {
+        "walker": ["C"],
+        "landmark": ["point 1"],
+        "point": ["1"],
+        "printed": [np.nan],
+        "half_unit": [np.nan],
+        "slope": [0.05],
+        "slope_low": [np.nan],
+        "slope_high": [np.nan],
+        "stance_angle": [np.sqrt(0.05)],
+    }
+    study = 'name = "n"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
+    tables = {"branches": branches, "landmarks": point}
+    source = read(write(tmp_path / "n.nc", study, {}, {}, {"C": KNEED}, tables))
+
+    with style():
+        sketch = FIGURES["locus"](source)
+        (axes,) = sketch.panels
+        box = _boxes(axes)["1"]
+
+    for line in axes.lines:
+        x, y = _xy(line)
+        dense = np.linspace(0, len(x) - 1, 20 * len(x))
+        at = [np.interp(dense, np.arange(len(x)), values) for values in (x, y)]
+        pixels = axes.transData.transform(np.transpose(at))
+        assert not box.count_contains(pixels)
+
+
+def test_a_walking_cycle_and_a_basin_have_the_colour_of_their_walker(tmp_path):
+    time = np.linspace(0, 1, 9)
+    trace = {
+        "walker": ["C"] * 9,
+        "gait": ["long"] * 9,
+        "slope": [0.01] * 9,
+        "time": time,
+        "theta_st": 0.2 - 0.4 * time,
+        "theta_th": 0.4 * time - 0.2,
+    }
+    study = 'name = "t"\nwalker = "C"\n[axes]\nslope = [0.01]\n'
+    tables = {"trace": trace}
+    source = read(write(tmp_path / "t.nc", study, {}, {}, {"C": KNEED}, tables))
+
+    sketch = FIGURES["angles"](source)
+
+    thick = [line for line in sketch.panels[0].lines if line.get_linewidth() == 2.2]
+    assert {line.get_color() for line in thick} == {WALKERS["C"]}
+
+    basin = FIGURES["basin"](_basin(tmp_path, lambda x, y: x < 0.2))
+    assert basin.maps[0].cells["ink"] == VARIABLES[WALKERS["D"]]
+
+
+def test_curves_over_an_axis_of_their_key_have_one_column_of_it(tmp_path):
+    curve = {
+        "detuning": [1.0, 1.0],
+        "curve": [0, 0],
+        "kind": ["fold", "fold"],
+        "key": ["detuning", "detuning"],
+        "slope": [0.01, 0.02],
+        "value": [0.1, 0.2],
+    }
+    study = (
+        'name = "c"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
+        "detuning = [1.0]\n"
+    )
+    tables = {"curves": curve}
+    source = read(write(tmp_path / "c.nc", study, {}, {}, {"C": KNEED}, tables))
+
+    data = FIGURES["curves"](source).data
+
+    assert "key" not in data and "value" not in data
+    assert data["detuning"].tolist() == [0.1, 0.2]
+
+
+def test_what_tells_two_laws_of_one_curve_apart_is_shown(tmp_path):
+    laws = {
+        "walker": ["C"] * 3,
+        "gait": ["long", "long", "short"],
+        "quantity": ["stance_angle"] * 3,
+        "regime": ["small", "large", "small"],
+        "exponent": [0.99, 0.36, 0.99],
+        "exponent_low": [0.9, 0.3, 0.9],
+        "exponent_high": [1.0, 0.4, 1.0],
+        "amplitude": [1.0, 2.0, 3.0],
+        "from": [1e-6, 1e-3, 1e-6],
+        "to": [1e-5, 0.1, 1e-3],
+        "n": [9, 9, 9],
+    }
+    once = {name: values[1:] for name, values in laws.items()}
+    shown = []
+    for name, table in (("twice", laws), ("once", once)):
+        study = f'name = "{name}"\nwalker = "C"\n[axes]\nslope = [0.01]\n'
+        path = tmp_path / f"{name}.nc"
+        tables = {"fits/scaling": table}
+        (fits,) = html_tables.results(
+            read(write(path, study, {}, {}, {"C": KNEED}, tables))
+        )
+        shown.append("regime" in fits.heads[: fits.most])
+
+    assert shown == [True, False]
+
+
+def test_a_claim_without_words_of_its_own_is_typeset():
+    assert paper.claim({"id": "none", "printed": "P ~ v^4"}) == "P ∝ v⁴"
+
+
+def test_a_table_with_a_column_for_each_walker_keeps_them_narrow(tmp_path):
+    names = ["A", "B", "C", "D", "E", "F"]
+    frame = {
+        "walker": names,
+        "zero_slope_capable": [1] * 6,
+        "chaos": ["no walking beyond the slopes at which the period doubles"] * 6,
+    }
+    study = 'name = "f"\nwalker = "C"\n[axes]\nslope = [0.01]\n'
+    tables = {"figure10": frame}
+    archive = write(tmp_path / "f.nc", study, {}, {}, {"C": KNEED}, tables)
+
+    (table,) = html_tables.results(read(archive))
+    page = pages.write([archive], tmp_path / "reports")
+
+    assert table.turned and table.heads == ["", *names]
+    text = page.read_text(encoding="utf-8")
+    assert 'class="archive turned"' in text and ".turned td.long { min-width" in text

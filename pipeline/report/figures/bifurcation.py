@@ -55,13 +55,14 @@ def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
     sketch = Sketch("bifurcation", height, len(lines), sharex=True)
 
     printed = [_near(source, line) for line in lines]
-    for axes, line, shown in zip(sketch.panels, lines, printed, strict=True):
+    for axes, line in zip(sketch.panels, lines, strict=True):
         _draw_orbits(sketch, source, axes, line, len(table) > SHAPES)
-        landmarks.draw_over_slopes(axes, shown)
 
     every = pd.concat(printed, ignore_index=True)
     if len(every):
         _widen(sketch.panels[-1], every)
+        for axes, shown in zip(sketch.panels, printed, strict=True):
+            landmarks.draw_over_slopes(axes, shown)
         sketch.key("printed", PRINTED, lw=1.4, ls=(0, (5, 2)))
         if landmarks.has_rounding(every):
             sketch.key("rounding range", PRINTED, lw=7, alpha=0.25)

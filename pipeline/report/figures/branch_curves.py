@@ -24,6 +24,7 @@ from gaitsweep.pipeline.report.figures.style import (
     inks,
     set_heading,
     thin,
+    write_clear,
 )
 from gaitsweep.pipeline.report.source import Line, Source, rows_at
 from gaitsweep.pipeline.report.words import (
@@ -41,6 +42,10 @@ _ANGLE = "stance angle θ* (rad)"
 #: Spectral radius above which it is rounding of one without bound.
 _UNBOUNDED = 1e12
 
+#: Where the number of a point may stand beside its mark, in a panel and enlarged.
+_NUMBERS = tuple((x, y, "center") for x, y in ((-14, -13), (14, -13), (14, 13)))
+_NUMBERS_NEAR = tuple((x, y, "center") for x, y in ((-24, 8), (4, 24), (24, -6)))
+
 #: The corner of a panel at the origin is enlarged if so many special points lie there.
 _CROWD = 3
 
@@ -56,9 +61,10 @@ class _Corner(NamedTuple):
     box: tuple[float, float, float, float]
 
 
-#: Of a figure of one panel, and of small multiples.
 #: Share of its value by which the edge of a window may differ from what is asked for.
 _EDGE = 1e-9
+
+#: Of a figure of one panel, and of small multiples.
 _ALONE = _Corner(0.25, 1.35, (0.56, 0.055, 0.42, 0.36))
 _AMONG = _Corner(0.12, 1.15, (0.53, 0.09, 0.45, 0.44))
 
@@ -315,6 +321,7 @@ def _frame_inset(axes: Axes, inset: Axes) -> None:
         tick = _round_below(end)
         getattr(inset, f"set_{which}ticks")([tick], [plain(tick, 2)])
     inset.tick_params(labelsize=7, length=2, pad=1.5)
+    inset.tick_params(axis="x", pad=3)  # below marks on the frame
     inset.grid(False)
     for spine in inset.spines.values():
         spine.set(visible=True, color=MUTED, linewidth=0.6)
@@ -420,13 +427,10 @@ def _draw_points(axes: Axes, inset: Axes | None, numbered: pd.DataFrame) -> None
         if np.isfinite(row.slope_low):
             interval = [row.slope_low, row.slope_high]
             panel.plot(interval, [row.stance_angle] * 2, color=MUTED, lw=0.8, zorder=4)
-        panel.annotate(
-            str(row.point),
-            (row.slope, row.stance_angle),
-            xytext=(-24, 8) if is_near else (-14, -13),
-            textcoords="offset points",
-            ha="center",
-            va="center",
+        write_clear(
+            panel,
+            [(str(row.point), (row.slope, row.stance_angle))],
+            _NUMBERS_NEAR if is_near else _NUMBERS,
             fontsize=10,
             fontweight="bold",
             annotation_clip=False,

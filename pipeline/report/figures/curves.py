@@ -14,6 +14,7 @@ from gaitsweep.pipeline.report.figures.style import (
     PAPER,
     colour,
     write_at,
+    write_clear,
 )
 from gaitsweep.pipeline.report.source import Line, Source
 from gaitsweep.pipeline.report.words import (
@@ -22,6 +23,15 @@ from gaitsweep.pipeline.report.words import (
     spaced,
     symbol,
     with_unit,
+)
+
+#: Where the name of a codimension-two point may stand beside its mark.
+_BESIDE = (
+    (8, 8, "left"),
+    (-8, 8, "right"),
+    (-8, -10, "right"),
+    (8, -10, "left"),
+    (-12, 0, "right"),
 )
 
 
@@ -46,7 +56,7 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
         sketch.key(several[kind], ink, lw=1.5)
     words = " and ".join(several.values())
     return sketch.finish(
-        table,
+        _named_by_key(table, key),
         count=len(touches),
         touches="; ".join(touches),
         meetings="; ".join(meetings),
@@ -56,6 +66,16 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
         value=with_unit(symbol(key), unit),
         **_abscissa(table),
     )
+
+
+def _named_by_key(table: pd.DataFrame, key: str) -> pd.DataFrame:
+    """The curves over one key with its values under its name, not beside the value
+    that an axis of that name has.
+    """
+    if "other_key" in table or set(table["key"]) != {key}:
+        return table
+    rest = table.drop(columns=["key", key], errors="ignore")
+    return rest.rename(columns={"value": key})
 
 
 def _abscissa(table: pd.DataFrame) -> dict[str, str]:
@@ -162,8 +182,7 @@ def _mark_meetings(sketch: Sketch, source: Source, key: str) -> list[str]:
             words = f"{_labelled(line, name)} at {_where(row, keys)}"
             named.setdefault(words, (name, (row[x], row["value"])))
 
-    for name, place in named.values():
-        write_at(axes, name, place, (6, 6))
+    write_clear(axes, [*named.values()], _BESIDE)
     return [*named]
 
 

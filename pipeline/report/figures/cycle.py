@@ -15,6 +15,7 @@ from gaitsweep.pipeline.report.figures.style import (
     INK,
     LINE,
     MUTED,
+    WALKERS,
     evenly,
     set_heading,
     write_at,
@@ -28,9 +29,10 @@ _MAX_STEPS, _POSES = 12, 4
 
 @dataclass(frozen=True)
 class TracedStep:
-    """One step of a gait, sampled in time, with the body of its walker."""
+    """One step of a gait, sampled in time, with the body of its walker and its colour."""
 
     label: str
+    ink: str
     gait: str
     slope: float
     command: str
@@ -79,7 +81,8 @@ def traced_steps(source: Source) -> Iterator[TracedStep]:
             time=frame["time"] - frame["time"].iloc[0],
             theta_sh=shank.fillna(frame["theta_th"]),
         )
-        yield TracedStep(axis_values(at), gait, slope, source.command(at), body, frame)
+        label, ink = axis_values(at), WALKERS.get(str(at.get("walker")), LINE)
+        yield TracedStep(label, ink, gait, slope, source.command(at), body, frame)
 
 
 def angles(source: Source) -> Sketch | None:
@@ -170,7 +173,7 @@ def _links(step: TracedStep) -> Iterator[_Link]:
 def _draw_link(sketch: Sketch, axes: Axes, step: TracedStep, link: _Link) -> None:
     """Draw the angle of a link, with marks on the heavy leg."""
     is_heavy = link.leg == "heavy"
-    width, ink = (2.2, LINE) if is_heavy else (0.9, MUTED)
+    width, ink = (2.2, step.ink) if is_heavy else (0.9, MUTED)
     dashes: Any = (0, (4, 1.4)) if link.link == "shank" else "-"
     time, angle = link.data["time"], link.data["angle"]
     axes.plot(time, angle, color=ink, lw=width, ls=dashes)
@@ -231,7 +234,7 @@ def _draw_strobe(axes: Axes, step: TracedStep) -> None:
     edges = -0.7 * apart, (2 * _POSES - 0.3) * apart
     axes.plot(edges, [0, 0], color=MUTED, lw=0.8)
     legs = (
-        {"color": LINE, "lw": 2.0, "zorder": 4},
+        {"color": step.ink, "lw": 2.0, "zorder": 4},
         {"color": INK, "lw": 0.8, "zorder": 3},
     )
     for number in (0, 1):

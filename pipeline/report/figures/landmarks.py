@@ -39,6 +39,8 @@ _BESIDE = (
     (16, -40, "left"),
 )
 
+#: Width of a letter of the words at lines across a panel, at most [pt].
+_WIDTH_OF_A_LETTER = 4.7
 #: Walkers of exact parameters, whose slopes have the bracket in which they are located
 #: instead of what rounding allows.
 _EXACT = ("B", "D", "E", "F")
@@ -135,24 +137,37 @@ def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> None:
         )
         axes.axvline(row.printed, color=PRINTED, lw=1.4, ls=(0, (5, 2)), zorder=3)
         axes.axvline(row.slope, color=INK, lw=0.8, ls=(0, (1, 2)), zorder=3)
-        for text, at, ink, height in (
+        for words, at, ink, height in (
             (
                 f"printed {as_printed(row.printed, row.half_unit)}",
                 row.printed,
                 PRINTED,
                 0.03,
             ),
-            (f"computed {plain(row.slope, 5)}", row.slope, INK, 0.11),
+            (f"computed {plain(row.slope, 4)}", row.slope, INK, 0.11),
         ):
-            is_right = at == max(row.printed, row.slope)
+            is_right = _stands_right(axes, words, at, at == max(row.printed, row.slope))
             how = {
                 "ha": "left" if is_right else "right",
                 "xycoords": axes.get_xaxis_transform(),
                 "fontsize": 8,
             }
             write_at(
-                axes, text, (at, height), (3 if is_right else -3, 0), color=ink, **how
+                axes, words, (at, height), (3 if is_right else -3, 0), color=ink, **how
             )
+
+
+def _stands_right(axes: Axes, words: str, at: float, wanted: bool) -> bool:
+    """Whether words stand to the right of a line: as wanted, unless they fit only on
+    the other side.
+    """
+    figure: Any = axes.figure
+    figure.get_layout_engine().execute(figure)
+    across = axes.transData.transform((at, 0.0))[0]
+    width = _WIDTH_OF_A_LETTER * len(words)
+    fits_right = across + width <= axes.bbox.x1
+    fits_left = across - width >= axes.bbox.x0
+    return wanted if fits_right == fits_left else bool(fits_right)
 
 
 def has_rounding(table: pd.DataFrame) -> bool:

@@ -15,8 +15,11 @@ from gaitsweep.pipeline.report.figures.slices import axes_of
 from gaitsweep.pipeline.report.figures.starts import START, cells, parameters
 from gaitsweep.pipeline.report.figures.style import (
     INK,
+    LINE,
     RASTER,
     SHAPES,
+    VARIABLES,
+    WALKERS,
     add_bar,
     choose_rows,
     hatch,
@@ -491,7 +494,10 @@ def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
         at.pop("slope", None)
     if not (keys := parameters(source, at)) or "slope" not in row:
         return {}
-    start = {"slope": float(row["slope"])}
+    start: dict[str, Any] = {
+        "slope": float(row["slope"]),
+        "ink": VARIABLES[WALKERS.get(str(at["walker"]), LINE)],
+    }
     if np.isfinite(row.get("swing_rate", np.nan)):
         start["ratio"] = float(row["swing_rate"] / row["stance_rate"])
     return {"at": at, "keys": keys, "command": source.command(at), **start}

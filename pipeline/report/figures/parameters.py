@@ -175,7 +175,9 @@ def _said(table: Mapping[str, Any], name: str) -> str:
 def _write(
     axes: Axes, text: str, at: complex, words: tuple[float, float], aligned: str
 ) -> None:
-    """Write words with a thin line to a point."""
+    """Write words with a thin line from their end, beside the leg, to a point."""
+    end = (1.0, 0.5) if aligned == "right" else (0.0, 0.5)
+    line = {"arrowstyle": "-", "color": MUTED, "lw": 0.5, "relpos": end}
     axes.annotate(
         text,
         (at.real, at.imag),
@@ -183,7 +185,7 @@ def _write(
         ha=aligned,
         va="center",
         fontsize=8,
-        arrowprops={"arrowstyle": "-", "color": MUTED, "lw": 0.5},
+        arrowprops=line,
     )
 
 

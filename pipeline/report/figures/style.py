@@ -256,8 +256,8 @@ def write_clear(
     **how: Any,
 ) -> None:
     """Write words beside a point each, at the first of some places, (right, up,
-    alignment) of their middle line in points, where they stand on no curve and above
-    the frame's lower end; at the last if none is free.
+    alignment) of their middle line in points, where they stand on no curve and within
+    the frame; at the last if none is free.
     """
     if not words:
         return
@@ -288,7 +288,10 @@ def _free_place(
         )
         low = upward + up - height / 2
         apart = curves - np.array([left, low])
-        is_inside = low >= axes.bbox.y0
+        is_inside = (
+            axes.bbox.x0 <= left <= axes.bbox.x1 - width
+            and axes.bbox.y0 <= low <= axes.bbox.y1 - height
+        )
         if (
             is_inside
             and not ((apart >= 0) & (apart <= [width, height])).all(axis=1).any()
