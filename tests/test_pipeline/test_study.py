@@ -78,7 +78,7 @@ WRONG = {
     },
     'slope = { from = 1e-4, to = 0.1, n = 7, spacing = "log" }': {
         "slope = [0.73]": "`slope` must lie in [1e-18, 0.5) rad; got 0.73 (s.toml, axes.slope): degrees? 0.73 degrees are 0.0127409 rad.",
-        "slope = [1]": "`slope` must lie in [1e-18, 0.5) rad; got 1 (s.toml, axes.slope): degrees? 1 degree is 0.0174533 rad.",
+        "slope = [1]": "`slope` must lie in [1e-18, 0.5) rad; got 1.0 (s.toml, axes.slope): degrees? 1 degree is 0.0174533 rad.",
         'slope = ["0.1"]': "`slope` must be a number; got '0.1' (s.toml, axes.slope).",
         "slope = [0.1]\nknees = [true]": "Unknown key `knees`, known: slope, foot_mass_ratio, detuning, l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s,"
         " r_s, c_s, R, eps_T, m_h, g, push_off, hip_stiffness, hip_damping, hip_rest, hip_torque, l, c, r, m, w (s.toml, axes).",
