@@ -6,6 +6,7 @@ import base64
 import contextlib
 import hashlib
 import math
+import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -476,4 +477,6 @@ def _script() -> str:
             (_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES
         )
     )
+    # After a block no line need end before another statement.
+    text = re.sub(r"}\n(?=function |class |if|for|const |let |})", "}", text)
     return f'"use strict";\n(() => {{\n{text.replace(";}", "}")}\n}})();'

@@ -15,6 +15,9 @@ STUDIES = {
     "curves": 'walker = "E"\n[axes]\nfoot_mass_ratio = [0.1, 0.05, 0.02]\n'
     'slope = { from = 1e-3, to = 0.1, n = 40, spacing = "log" }\n'
     '[want]\nvariables = ["stance_angle", "period", "multipliers"]\nfigures = ["loglog", "multipliers"]\n',
+    "pair": 'walker = "E"\n[axes]\nfoot_mass_ratio = [0.1, 0.05]\n'
+    'slope = { from = 1e-6, to = 0.1, n = 40, spacing = "log" }\n'
+    '[want]\nvariables = ["stance_angle", "multipliers"]\nfits = ["transition"]\nfigures = ["loglog"]\n',
     "branches": 'kind = "branch"\nwalker = "C"\n[axes]\ndetuning = [0.1]\nslope = { from = 1e-3, to = 0.1, n = 60 }\n'
     '[want]\nfigures = ["locus"]\n',
     "ends": 'kind = "branch"\nwalker = "physical"\n[axes]\nslope = { from = 0.015, to = 0.06, n = 60 }\n'

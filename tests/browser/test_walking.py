@@ -245,6 +245,12 @@ def test_an_address_typed_by_hand_is_solved_before_anything_is_said(
     [("ends", "walker=physical&slope=0.01", "this line has no gait: its gaits are at slopes from 0.0191"),
      ("ends", "walker=physical&slope=0.01&stance_angle=0.2", "this line has no gait"),
      ("ends", "walker=nobody&slope=0.03", "no line with walker = nobody"),
+     ("ends", "walker=physical&slope=", "no valid value for slope. It may be cut off."),
+     ("ends", "walker=physical&slope=0.03&stance_angle=0.2&stance_rate=-", "no valid value for stance_rate."),
+     ("ends", "walker=physical&slope=-1", "Nothing drives this walker at slope −1"),
+     ("branches", "walker=C&slope=0.02", "The address does not give detuning."),
+     ("design", "walker=A&R=0.2&slope=0.02", "The address does not give c_t."),
+     ("design", "walker=A&R=0.2&c_t=0.084&slope=0.49", "No gait was found at slope 0.49."),
      ("map", "walker=B&R=0.123&slope=0.02", "R = 0.123 is not on the map: its nearest value is 0.12.")],
 )  # fmt: skip
 def test_an_address_that_matches_nothing_says_what_the_page_has(
@@ -255,6 +261,43 @@ def test_an_address_that_matches_nothing_says_what_the_page_has(
     words = wait(browser, "document.querySelector('[data-part=said]').textContent")
 
     assert said in words and words.endswith("Shown is another gait of this page.")
+
+
+@pytest.mark.parametrize(
+    ("page", "at", "keys"),
+    [("orbits", "walker=C", {}), ("basin", "walker=D", {}),
+     ("design", "walker=A&R=0.2&c_t=0.12", {"R": 0.2, "c_t": 0.12})],
+)  # fmt: skip
+def test_an_address_of_any_slope_is_solved_where_no_branch_is_stored(
+    walk, page, at, keys
+):
+    browser = walk(page, anchor=f"#{at}&slope=0.013")
+
+    found = wait(browser, "location.hash.includes('stance_angle') && location.hash")
+
+    assert part(browser, "said").text == ""
+    assert "slope=0.013" in found
+    long = gaits(at[7], 0.013, **keys).stance_angle.sel(gait="long")
+    assert selected(browser)["stance_angle"] == pytest.approx(float(long), rel=1e-6)
+
+
+def test_a_motion_that_begins_at_a_gait_stays_there(walk):
+    long = gaits("D", 0.0126).sel(gait="long")
+    rates = f"stance_rate={float(long.stance_rate)}&thigh_rate={float(long.thigh_rate)}"
+    address = f"stance_angle={float(long.stance_angle)}&{rates}&free=1"
+
+    browser = walk("basin", anchor=f"#walker=D&slope=0.0126&{address}")
+
+    said = wait(browser, "document.querySelector('[data-part=outcome]').textContent")
+    assert said == "It stays within 1 % of the gait."
+
+
+def test_a_walker_may_be_named_as_the_page_calls_it(walk):
+    browser = walk("pair", anchor="#walker=F&slope=0.01")
+
+    assert wait(browser, "location.hash.includes('foot_mass_ratio=0.05')")
+
+    assert part(browser, "title").text.endswith("walker F (E with ρ = 0.05)")
 
 
 def test_a_row_of_a_table_walks(walk):
@@ -802,16 +845,15 @@ def test_a_slider_over_lines_of_one_key_leads_to_the_same_branch(walk):
     assert len({title.split(" gait")[0] for _, title in seen}) == 1
 
 
-def test_the_polynomial_along_a_key_states_the_error_that_it_makes(walk):
+def test_the_gaits_along_a_key_are_dots_one_of_which_is_that_shown(walk):
     browser = walk("map")
     words = browser.find_element("css selector", "[data-part=fit]").text
-    degree, error = re.fullmatch(
-        r"dots: θ\* along (?:slope|R); line: polynomial of degree (\d), within (\S+) rad",
-        words,
-    ).groups()
-    assert degree == "7" and 0 < float(error.replace("−", "-")) < 2e-3
-    dots = ask(browser, "document.querySelectorAll('[data-part=curve] circle').length")
-    assert dots in (30, 31)
+    assert re.fullmatch(r"dots: θ\* along (?:slope|R)", words)
+    radii = ask(
+        browser,
+        "[...document.querySelectorAll('[data-part=curve] circle')].map(c => c.getAttribute('r'))",
+    )
+    assert len(radii) in (30, 31) and radii.count("4.5") == 1
 
 
 def _choose(browser, control, value):

@@ -15,11 +15,14 @@ function walkerOf(keys) {
 
 const isAt = (a, b) => a === b || abs(a - b) <= 1e-9 * abs(a);
 const sameLine = (a, b) => Object.keys({ ...a, ...b }).every(key => key in a && key in b && isAt(a[key], b[key]));
-/** Line at values of its axes; of one along what drives at a slope the walker that these make, whose line is `over`. */
+/**
+ * Line at values of its axes; of one along what drives at a slope the walker that these make, whose line is `over`. A walker
+ * alone may be one by whose name a page calls a line.
+ */
 function lineAt(at, slope) {
   for (const line of LINES) {
     const { along } = line;
-    if (sameLine(line.at, at)) return line;
+    if (sameLine(line.at, at) || sameLine({ walker: line.called }, at)) return line;
     if (along && sameLine({ ...line.at, [along]: at[along] }, { ...at, slope })) return { ...line, at, over: line.command, keys: { ...line.keys, [along]: at[along] }, command: line.command + at[along] };
   }
 }
@@ -33,16 +36,27 @@ function lineOfGrid(at) {
   }
 }
 
+/** Cells of maps of gaits at values of their axes: [map, cell] each. */
+const cellsAt = (at, slope) => gaitMaps().map(map => [map, [map.x, map.y].map(({ name, values }) => values.findIndex(value => isAt(value, { ...at, slope }[name])))])
+  .filter(([map, cell]) => !cell.includes(-1) && sameLine(cellOf(map, cell).at, at));
+const gaitMaps = () => MAPS.filter(map => !map.free);
+
+/** Line of the walker of a cell, at any slope: its gaits are searched for. */
+function lineOfCell(at) {
+  for (const [map, cell] of cellsAt(at)) return { ...map, at, keys: keysOf(map, at), branches: [], command: cellOf(map, cell).command };
+}
+
 /**
  * Selection that an address names: { at, slope, start[, free] }; null where it names a place of the page. Of what it leaves
- * out the slope is NaN, and the start is empty.
+ * out the slope is NaN, and the start is empty. `wrong` is the first of its keys without a value that can be read.
  */
 function readAddress(hash) {
   if (!hash.includes("=")) return null;
   const given = new URLSearchParams(hash.replace(/^#/, "")), at = {};
+  for (const [wrong, value] of given) if (!value || wrong !== "walker" && !isFinite(Number(value))) return { at, slope: NaN, start: [], wrong };
   for (const [key, value] of given) if (!["slope", "stance_angle", "free", ...RATES].includes(key)) at[key] = key === "walker" ? value : Number(value);
   const slope = given.has("slope") ? Number(given.get("slope")) : NaN, start = ["stance_angle", ...RATES].filter(name => given.has(name)).map(name => Number(given.get(name)));
-  return start.every(isFinite) ? { at, slope, start, free: given.has("free") } : { at, slope: NaN, start: [NaN] };
+  return { at, slope, start, free: given.has("free") };
 }
 
 /** Address of a gait, or of a motion that is none: its line, its slope and its state just after heelstrike. */
@@ -120,15 +134,19 @@ function gaitAtSlope(line, slope, start, more = {}) {
  * What is shown is always solved: a start that only looks like a gait is where Newton's method begins.
  */
 function gaitNear(line, slope, given) {
-  if (!given.length) { const all = leads(line.keys, slope) ? gaitsAt(line, slope) : []; return all.find(gait => gait.radius < 1) ?? all[0] ?? null; }
-  const [angle] = given, place = leads(line.keys, slope) && angle > 0 && line.branches.length ? placeOn(line, slope, angle) : null;
+  if (!leads(line.keys, slope)) return null;
+  if (!given.length) {
+    const on = gaitsAt(line, slope), all = on[0] ? on : searched(line, slope);
+    return all.find(gait => gait.radius < 1) ?? all[0];
+  }
+  const [angle] = given, place = angle > 0 && line.branches.length ? placeOn(line, slope, angle) : null;
   const on = place && place.apart < NEAR ? { branch: place.branch, place: place.at } : {}, own = { at: line.at, line, keys: line.keys, command: line.command, ...on };
   let exact = null;
   if (given.length > (line.keys.knees ? 3 : 2)) exact = storedGait({ ...own, slope, start: given, exact: true }) ?? gaitAtSlope(line, slope, given, on) ?? storedGait({ ...own, slope, start: given });
   else if ("place" in on) {
     const near = between(line.branches[on.branch], on.place).start;
     exact = gaitAtSlope(line, slope, near.map(x => x * angle / near[0]), on) ?? gaitAtSlope(line, slope, near, on);
-  } else if (leads(line.keys, slope) && angle > 0) exact = gaitGuessed(line, slope, angle);
+  } else if (angle > 0) exact = gaitGuessed(line, slope, angle);
   if (exact || !("place" in on)) return exact;
   // Where walking ends, or a strike is all but tangential, the nearest gait of the branch that is a step.
   const last = line.branches[on.branch].length - 1;
@@ -140,30 +158,44 @@ function gaitNear(line, slope, given) {
 }
 
 /** Gait of a line with a slope and an angle, of whose rates nothing is known: those of gaits are shares of the angle. */
-function gaitGuessed(line, slope, angle) {
+function gaitGuessed(line, slope, angle, within = 0.01) {
   const { time } = walkerOf(line.keys);
   for (const stance of [1, 1.25, 1.1, 1.5]) for (const swing of [0.05, 0.35, 0.7, 0.9, 1.1]) {
     const found = gaitAtSlope(line, slope, [angle, ...[1, swing, swing].map(share => -share * stance * angle / time)]);
-    if (found && abs(found.start[0] / angle - 1) < 0.01) return found;
+    if (found && abs(found.start[0] / angle - 1) < within) return found;
   }
   return null;
 }
 
+/** Gaits at a slope of a line that are on none of its stored branches: their angles are near the cube root of the slope. */
+const searched = (line, slope) => [0.6, 0.72, 0.86, 1.03, 1.2]
+  .map(share => gaitGuessed(line, slope, share * (slope > 0 ? slope ** (1 / 3) : 0.3), 0.1)).filter(Boolean);
+
+/** Keys of lines and maps of a walker that an address does not give. */
+function missing(at) {
+  const own = [...LINES, ...gaitMaps()].find(one => one.at.walker === at.walker);
+  return own ? [...Object.keys(own.at), own.x?.name, own.y?.name].filter(name => name && !(name in { slope: 0, ...at })) : [];
+}
+
 /** Why an address names no gait of this page: what is the nearest that the page has. */
-function whyNot({ at, slope, start }) {
-  const line = lineAt(at, slope), said = all => Object.entries(all).map(([key, value]) => `${key} = ${typeof value === "number" ? brief(value, 6) : value}`).join(", ");
+function whyNot({ at, slope, start, wrong }) {
+  if (wrong) return `The address has no valid value for ${wrong}. It may be cut off.`;
+  const absent = missing(at), none = `No gait was found at slope ${brief(slope, 6)}.`, line = lineAt(at, slope), said = all => Object.entries(all).map(([key, value]) => `${key} = ${typeof value === "number" ? brief(value, 6) : value}`).join(", ");
   if (line) {
     const slopes = line.branches.flat().map(node => node[0]), low = min(...slopes), high = max(...slopes);
-    if (!leads(line.keys, slope)) return "The address has no slope.";
-    if (slopes.length && (slope < low || slope > high)) return `At slope ${brief(slope, 6)} this line has no gait: its gaits are at slopes from ${brief(low, 5)} to ${brief(high, 5)} rad.`;
-    return start.length ? `No gait of this line is near slope ${brief(slope, 6)} and stance angle ${brief(start[0], 6)}.` : `No gait of this line was found at slope ${brief(slope, 6)}.`;
+    if (isNaN(slope)) return "The address has no slope.";
+    if (!leads(line.keys, slope)) return `Nothing drives this walker at slope ${brief(slope, 6)}.`;
+    if (low < high && (slope < low || slope > high)) return `At slope ${brief(slope, 6)} this line has no gait: its gaits are at slopes from ${brief(low, 5)} to ${brief(high, 5)} rad.`;
+    return start.length ? `No gait of this line is near slope ${brief(slope, 6)} and stance angle ${brief(start[0], 6)}.` : none;
   }
-  for (const map of MAPS.filter(one => !one.free)) for (const side of [map.x, map.y]) {
+  for (const map of gaitMaps()) for (const side of [map.x, map.y]) {
     const value = at[side.name];
     if (value === undefined || side.values.some(one => isAt(one, value))) continue;
     const nearest = side.values.reduce((best, one) => abs(one - value) < abs(best - value) ? one : best);
     return `${side.name} = ${brief(value, 6)} is not on the map: its nearest value is ${brief(nearest, 6)}.`;
   }
+  if (lineOfCell(at)) return none;
+  if (absent.length) return `The address does not give ${absent.join(" and ")}.`;
   return Object.keys(at).length ? `This page has no line with ${said(at)}.` : "The address names no line.";
 }
 
@@ -270,13 +302,8 @@ function gaitOfCell(map, cell) {
   return start && storedGait({ at, map, cell, keys: keysOf(map, at), slope, start, command });
 }
 
-/** The maps' cell that an address names: [map, cell], or null. */
-function cellNamed({ at, slope, start }) {
-  const wanted = { ...at, slope }, indexOf = side => side.values.findIndex(value => isAt(value, wanted[side.name]));
-  for (const map of MAPS.filter(one => !one.free)) {
-    const cell = [indexOf(map.x), indexOf(map.y)], own = !cell.includes(-1) && cellOf(map, cell);
-    if (own?.start && !start.length && sameLine(own.at, at)) return [map, cell];
-    if (own?.start && sameLine(own.at, at) && hypot(rank(own.slope) - rank(slope), log(own.start[0] / start[0])) < 1e-6) return [map, cell];
-  }
-  return null;
-}
+/** The maps' cell that an address names, whose slope is the one given, if any: [map, cell]. */
+const cellNamed = ({ at, slope, start }) => cellsAt(at, slope).find(([map, cell]) => {
+  const own = cellOf(map, cell);
+  return own.start && (isNaN(slope) && !start.length || hypot(rank(own.slope) - rank(slope), start.length && log(own.start[0] / start[0])) < 1e-6);
+});

@@ -194,23 +194,14 @@ if (panel && LINES.length + nodesOf("script.panels").length) {
     });
     alongKey(sides[moved]);
   }
-  /** Stance angles along a key: archived gaits, their polynomial of the least squares, and the largest error it makes. */
+  /** Stance angles of the archived gaits along a key. */
   function alongKey(side) {
-    const chart = find("curve"), found = side ? side.values.map((value, i) => [side.log ? log(value) : value, side.angle(i), i]).filter(([, angle]) => angle > 0) : [], n = found.length;
+    const chart = find("curve"), found = side ? side.values.map((value, i) => [side.log ? log(value) : value, side.angle(i), i]).filter(([, angle]) => angle > 0) : [];
+    const ends = k => { const all = found.map(dot => dot[k]); return [min(...all), max(...all)]; }, [[left, right], [low, high]] = [ends(0), ends(1)];
     chart.replaceChildren();
-    chart.style.display = n > 3 ? "" : "none";
-    find("fit").textContent = "";
-    if (n < 4) return;
-    const xs = found.map(([x]) => x), ys = found.map(([, y]) => y), [left, right, low, high] = [min(...xs), max(...xs), min(...ys), max(...ys)], degree = min(7, n - 2);
-    const basis = x => { const u = 2 * (x - left) / (right - left) - 1, all = [1, u]; while (all.length <= degree) all.push(2 * u * all.at(-1) - all.at(-2)); return all.slice(0, degree + 1); };
-    const rows = xs.map(basis), share = solveRows(rows[0].map((_, i) => rows[0].map((_, j) => sum(rows.map(row => row[i] * row[j])))), rows[0].map((_, i) => sum(rows.map((row, k) => row[i] * ys[k]))));
-    const value = x => dot(basis(x), share), error = max(...xs.map((x, k) => abs(value(x) - ys[k])));
-    const place = ([x, y]) => [6 + 228 * (x - left) / (right - left), 52 - 44 * (y - low) / (high - low || 1)];
-    // A poor polynomial would mislead: then the dots stand alone.
-    const isClose = error < 0.01 * high;
-    if (isClose) draw("path", chart, { d: pathOf([...Array(61)].map((_, k) => { const x = left + (right - left) * k / 60; return [x, value(x)]; }), place), fill: "none", stroke: "var(--muted)" });
-    for (const [x, y, i] of found) { const [cx, cy] = place([x, y]); draw("circle", chart, i === side.at ? { cx, cy, r: 4.5, fill: inkOf(gait) } : { cx, cy, r: 1.3, fill: "var(--muted)" }); }
-    find("fit").textContent = `dots: θ* along ${side.name}` + (isClose ? `; line: polynomial of degree ${degree}, within ${brief(error, 2)} rad` : "");
+    chart.style.display = found[3] ? "" : "none";
+    find("fit").textContent = found[3] ? `dots: θ* along ${side.name}` : "";
+    for (const [x, y, i] of found) draw("circle", chart, { cx: 6 + 228 * (x - left) / (right - left || 1), cy: 52 - 44 * (y - low) / (high - low || 1), ...i === side.at ? { r: 4.5, fill: inkOf(gait) } : { r: 1.3, fill: "var(--muted)" } });
   }
 
   // A second gait of the line at the same slope, beside the first.
@@ -260,7 +251,7 @@ if (panel && LINES.length + nodesOf("script.panels").length) {
     if (aim) draw("path", chart, { d: `M4 ${y(aim)}H236`, stroke: "var(--muted)", "stroke-dasharray": "3 3" });
     angles.forEach((angle, k) => draw("circle", chart, { cx: x(k + 1), cy: y(angle), r: 2.4, fill: inkOf(gait) }));
     if (last.fall) draw("text", chart, { x: x(angles.length + 1), y: 56, "font-size": 15, fill: "var(--bad)" }, "✕");
-    const after = angles.length, word = n => `${n} step${n > 1 ? "s" : ""}`;
+    const after = angles.length, word = n => `${n} step${n === 1 ? "" : "s"}`;
     // The first step from which on every one is within a hundredth of the gait's.
     let back = after;
     while (aim && back > 0 && abs(angles[back - 1] / aim - 1) < 0.01) back--;
@@ -268,11 +259,11 @@ if (panel && LINES.length + nodesOf("script.panels").length) {
     text.textContent = last.fall ? `${after ? `After ${word(after)}` : "In its first step"} ${fell}.`
       : !aim || after - back <= 4 ? `It still walks after ${word(after)}, but not in this gait.`
       // An unstable gait is left, however slowly.
-      : gait.radius < 1 ? `It recovers: within 1 % of the gait after ${word(back)}.` : `After ${word(after)} it is still within 1 % of this ${gait.radius > 1 ? "unstable " : ""}gait.`;
+      : gait.radius < 1 ? back === 0 ? "It stays within 1 % of the gait." : `It recovers: within 1 % of the gait after ${word(back)}.` : `After ${word(after)} it is still within 1 % of this ${gait.radius > 1 ? "unstable " : ""}gait.`;
   }
 
   select = (wish, options = {}) => {
-    const own = wish.at && lineAt(wish.at, wish.slope), named = wish.start && !wish.free && !own && cellNamed(wish), line = own ?? (wish.at && !named && lineOfGrid(wish.at));
+    const own = wish.at && lineAt(wish.at, wish.slope), named = wish.start && !wish.free && !own && cellNamed(wish), line = own ?? (wish.at && !named && !wish.map && (lineOfGrid(wish.at) ?? lineOfCell(wish.at)));
     const [map, cell] = wish.map ? [wish.map, wish.cell] : named || [];
     const found = map ? gaitOfCell(map, cell) : wish.free ? (wish.given || line) && freeMotion(wish.given ?? line, wish) : line ? gaitNear(line, wish.slope, wish.start) : null;
     const still = map ? cellOf(map, cell).slope === 0 : wish.slope === 0 && !line?.over || wish.start?.[0] === 0;
