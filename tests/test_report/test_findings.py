@@ -471,11 +471,15 @@ def test_the_number_of_a_point_stands_on_no_curve(tmp_path):
         box = _boxes(axes)["1"]
 
     for line in axes.lines:
-        x, y = _xy(line)
-        dense = np.linspace(0, len(x) - 1, 20 * len(x))
-        at = [np.interp(dense, np.arange(len(x)), values) for values in (x, y)]
-        pixels = axes.transData.transform(np.transpose(at))
-        assert not box.count_contains(pixels)
+        assert not box.count_contains(_pixels_along(line))
+
+
+def _pixels_along(line):
+    """Places on a curve, many between two of its points."""
+    points = line.get_transform().transform(np.transpose(_xy(line)))
+    number = np.arange(len(points))
+    dense = np.linspace(0, len(points) - 1, 20 * len(points))
+    return np.stack([np.interp(dense, number, side) for side in points.T], axis=1)
 
 
 def test_a_walking_cycle_and_a_basin_have_the_colour_of_their_walker(tmp_path):

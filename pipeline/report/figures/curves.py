@@ -51,10 +51,8 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
     unit = print_units(table.attrs.get("units", {}).get("value", ""))
     touches = _mark_touches(source, axes, key)
     meetings = _mark_meetings(sketch, source, key)
-    several = {kind: _several(kind) for kind in kinds}
-    for kind, ink in kinds.items():
-        sketch.key(several[kind], ink, lw=1.5)
-    words = " and ".join(several.values())
+    words = " and ".join(map(_several, kinds))
+    _legend(sketch, kinds)
     return sketch.finish(
         _named_by_key(table, key),
         count=len(touches),
@@ -66,6 +64,12 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
         value=with_unit(symbol(key), unit),
         **_abscissa(table),
     )
+
+
+def _legend(sketch: Sketch, kinds: dict[str, str]) -> None:
+    """Add the kinds of points to the legend, in their inks."""
+    for kind, ink in kinds.items():
+        sketch.key(_several(kind), ink, lw=1.5)
 
 
 def _named_by_key(table: pd.DataFrame, key: str) -> pd.DataFrame:

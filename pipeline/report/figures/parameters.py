@@ -177,7 +177,13 @@ def _write(
 ) -> None:
     """Write words with a thin line from their end, beside the leg, to a point."""
     end = (1.0, 0.5) if aligned == "right" else (0.0, 0.5)
-    line = {"arrowstyle": "-", "color": MUTED, "lw": 0.5, "relpos": end}
+    line = {
+        "arrowstyle": "-",
+        "color": MUTED,
+        "lw": 0.5,
+        "relpos": end,
+    }
+
     axes.annotate(
         text,
         (at.real, at.imag),
