@@ -824,7 +824,7 @@ def test_sliders_over_the_keys_of_a_map_lead_to_archived_gaits(walk, page, keys)
         at = dict(part.split("=") for part in told[1].lstrip("#").split("&"))
         assert float(at[name]) == pytest.approx(float(value), rel=1e-3)
         assert (
-            "polynomial of degree"
+            "dots: θ* along"
             in browser.find_element("css selector", "[data-part=fit]").text
         )
         assert browser.find_elements(

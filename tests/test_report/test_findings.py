@@ -409,7 +409,7 @@ def test_words_beside_a_point_stay_within_the_frame(place):
         (axes,) = sketch.panels
         axes.set(xlim=(0, 1), ylim=(0, 1))
 
-        write_clear(axes, "resonance 1:1", place, places)
+        write_clear(axes, [("resonance 1:1", place)], places)
 
         (box,) = _boxes(axes).values()
     frame = axes.get_window_extent()
