@@ -101,27 +101,34 @@ class Line:
         dims = ("slope", "gait")
         columns = {v: data[v] for v in wanted if v in data}
         values = {v: one.values for v, one in columns.items() if one.dims == dims}
-        slopes = data["slope"].values
-        labels = data["gait"].values.astype(str)
         branch, piece = self._branch_and_piece()
 
         on_branch = branch >= 0
         pairs = np.column_stack([branch[on_branch], piece[on_branch]])
         for number, part in np.unique(pairs, axis=0).tolist():
             here = (branch == number) & (piece == part)
-            known = np.flatnonzero(here.any(axis=1))
-            row = np.arange(known[0], known[-1] + 1)
-            has = here.any(axis=1)[row]
-            column = here.argmax(axis=1)[row]
+            yield self._piece(here, values).assign(branch=number, piece=part)
 
-            quantities = {
-                name: np.where(has, own[row, column], np.nan)
-                for name, own in values.items()
-            }
-            frame = pd.DataFrame({"slope": slopes[row], **quantities})
-            gaits = np.where(has, labels[column], "")
-            about = {"gait": gaits, "branch": number, "piece": part}
-            yield frame.assign(stable=stable(frame), **about)
+    def _piece(
+        self, here: np.ndarray, values: Mapping[str, np.ndarray]
+    ) -> pd.DataFrame:
+        """The points of which `here`, (slope, gait), is true, from the first to the last
+        slope that has one, with values NaN at slopes between that have none.
+        """
+        is_there = here.any(axis=1)
+        known = np.flatnonzero(is_there)
+        row = np.arange(known[0], known[-1] + 1)
+        has = is_there[row]
+        column = here.argmax(axis=1)[row]
+
+        quantities = {
+            name: np.where(has, own[row, column], np.nan)
+            for name, own in values.items()
+        }
+        slopes = self.data["slope"].values[row]
+        labels = self.data["gait"].values.astype(str)[column]
+        frame = pd.DataFrame({"slope": slopes, **quantities})
+        return frame.assign(stable=stable(frame), gait=np.where(has, labels, ""))
 
     def _branch_and_piece(self) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the branch and of its piece of each gait (slope, gait); -1 where

@@ -20,7 +20,7 @@ def answer(case: Case) -> dict[str, Any]:
     flown = case.flown & (case.verdict == "gait")
     case.reason[flown] = "A gait, in the middle of a step."
 
-    curves = []
+    curves: list[dict[str, np.ndarray]] = []
     for problem, branch in _pictured(case):
         curves += _curves(problem, branch)
     judged = _columns(case, case.rows.state)

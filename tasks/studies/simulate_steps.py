@@ -528,17 +528,21 @@ class _Phase:
             MAX_TIME - begin, c_output=when is not None
         )
         end, state = float(self._taylor.time), np.array(self._taylor.state)
-        event = -1 - int(stop)  # heyoka counts the events that stop it down from -1
-        outcome = NO_KNEESTRIKE if self.links == 3 else NO_HEELSTRIKE
-        if event in (0, 1, 2):
-            outcome = self.outcomes[event]
-        if not np.isfinite(state).all():
-            outcome = LOST
+        outcome = self._outcome(int(stop), state)
         samples = []
         if when and outcome != LOST:
             at = when(begin, end)
             samples = [self._sampled(motion(at), begin + at)]
         return state, begin + end, outcome, samples
+
+    def _outcome(self, stop: int, state: np.ndarray) -> int:
+        """Index of CAUSES for what ended an integration, and the state there."""
+        if not np.isfinite(state).all():
+            return LOST
+        event = -1 - stop  # heyoka counts the events that stop it down from -1
+        if event in (0, 1, 2):
+            return int(self.outcomes[event])
+        return NO_KNEESTRIKE if self.links == 3 else NO_HEELSTRIKE
 
     def _sampled(self, states: np.ndarray, time: np.ndarray) -> np.ndarray:
         """Times, and angles and rates of three links, from states at these."""

@@ -38,7 +38,7 @@ from gaitsweep.pipeline.report.figures.style import (
     style,
     title_of,
 )
-from gaitsweep.pipeline.report.figures.svg import TARGETS, key
+from gaitsweep.pipeline.report.figures.svg import TARGETS, key, render
 from gaitsweep.pipeline.report.source import read
 from gaitsweep.pipeline.report.words import WORDS, plain, sentences, spaced
 from lines import some
@@ -1361,3 +1361,33 @@ def test_what_meets_on_a_curve_is_named_in_its_table_though_all_points_have_one_
     columns = {"kind": ["flip", "fold"], "point": ["fold-flip"] * 2, "slope": [0.1] * 2}
     heads = html_tables.named("meetings", pd.DataFrame(columns)).heads
     assert heads == ["kind", "point", "γ"]
+
+
+def test_numbers_that_would_touch_on_a_narrow_page_are_left_out_there(tmp_path):
+    with style():
+        sketch = Sketch("diff", 200, 1, 2)
+        for axes, decimals in zip(sketch.panels, (1, 4), strict=True):
+            axes.set_xlim(0, 1)
+            axes.set_xticks(np.linspace(0, 1, 6))
+            axes.xaxis.set_major_formatter(f"{{x:.{decimals}f}}")
+        figure = render(
+            sketch.finish(pd.DataFrame(), variables="speed"), "diff", "s", False
+        )
+
+    crowded = re.findall(r'<g class="crowded"> *<text[^>]*>([^<]*)', figure.svg)
+    shown = {text.strip() for text in re.findall(r"<text[^>]*>([^<]*)", figure.svg)}
+    assert [text.strip() for text in crowded] == ["0.2000", "0.6000", "1.0000"]
+    assert {"0.0", "0.2", "0.4", "0.6", "0.8", "1.0", "0.4000"} <= shown
+
+
+@pytest.mark.parametrize(("length", "is_wide"), [(10, False), (120, True)])
+def test_a_figure_whose_words_would_leave_a_narrow_page_keeps_its_size(length, is_wide):
+    with style():
+        sketch = Sketch("diff", 200)
+        words = sketch.panels[0].text(0.5, 0.5, "m" * length, fontsize=7, ha="center")
+        words.set_in_layout(False)
+        figure = render(
+            sketch.finish(pd.DataFrame(), variables="speed"), "diff", "s", False
+        )
+
+    assert figure.is_wide == is_wide

@@ -422,7 +422,8 @@ def _write_residuals(axes: Axes, standing: _Standing, unit: str) -> None:
         for name, value in zip(names, values, strict=False)
     ]
     low, _ = axes.get_ylim()
-    axes.text(0.0, 0.24 * low, "\n".join(lines), ha="center", va="top", fontsize=7.5)
+    how: Any = {"ha": "center", "va": "top", "fontsize": 7.5, "linespacing": 1.5}
+    axes.text(0.0, 0.24 * low, "\n".join(lines), **how)
 
 
 def _number(table: Mapping[str, Any], key: str) -> float:

@@ -12,8 +12,10 @@ import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 
 from gaitsweep.pipeline.report.figures.sketch import Marks, Panel, Sketch
 from gaitsweep.pipeline.report.figures.starts import START, rounded
@@ -29,6 +31,15 @@ _MAX_DOTS = 1500
 #: Size above which the index shows the rasters of a figure more coarsely [character].
 _MAX_THUMBNAIL = 30_000
 
+
+#: Size of words on pages as narrow as a phone, in a figure's own units (report.css),
+#: the least distance of numbers, and how far words may stand out [pt].
+_NARROW, _APART, _MARGIN = 12.0, 5.0, 16.0
+#: Words of an SVG that are not turned: size, anchor if any, place, content.
+_WORDS = re.compile(
+    r'<text style="font-size: ([\d.]+)px;(?:[^"]*text-anchor: (\w+))?[^"]*"'
+    r' x="([-\d.]+)" y="[-\d.]+">([^<]*)<'
+)
 
 #: Markers as characters, filled and hollow.
 _CHARACTERS = {
@@ -71,6 +82,7 @@ class Drawing:
     keys: list[tuple[str, str, str]]
     panels: list[dict[str, Any]]
     axes: list[dict[str, Any]]
+    is_wide: bool = False
 
 
 def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
@@ -87,6 +99,7 @@ def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
     engine.execute(figure)
     # A placeholder would have everything drawn once more before it is written.
     figure.set_layout_engine(None)
+    _mark_crowded(figure)
     svg = _to_svg(figure, f"{salt}/{name}", 160)
     width, height = (float(side) for side in figure.get_size_inches() * 72)
     return Drawing(
@@ -106,7 +119,50 @@ def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
             for axes in figure.axes
             if axes.axison and axes.get_label() != "<colorbar>"
         ],
+        _is_wide(svg, width),
     )
+
+
+def _mark_crowded(figure: Figure) -> None:
+    """Mark those numbers of axes that would touch others on a narrow page, where they
+    are larger: it leaves them out.
+    """
+    every: list[Any] = [*figure.axes]
+    every += [inner for axes in figure.axes for inner in axes.child_axes]
+    for axes in every:
+        for k, axis in enumerate((axes.xaxis, axes.yaxis)):
+            last = -np.inf
+            for place, label in _numbers(axis, k):
+                size = 0.62 * _NARROW * len(label.get_text()) if k == 0 else _NARROW
+                if place - size / 2 < last + _APART:
+                    label.set_gid("crowded")
+                else:
+                    last = place + size / 2
+
+
+def _is_wide(svg: str, width: float) -> bool:
+    """Whether words of a figure would leave it on a narrow page, where they are larger:
+    there it keeps its size, and is moved sideways.
+    """
+    for size, anchor, x, text in _WORDS.findall(svg):
+        larger = _NARROW if float(size) >= 9 else _NARROW - 1
+        long = 0.55 * larger * len(text.strip())
+        left = float(x) - {"middle": 0.5, "end": 1.0}.get(anchor, 0.0) * long
+        if left < -_MARGIN or left + long > width + _MARGIN:
+            return True
+    return False
+
+
+def _numbers(axis: Axis, k: int) -> list[tuple[float, Text]]:
+    """The numbers of an axis that are seen, with the places of their middles along it."""
+    labels = axis.get_ticklabels() if axis.get_visible() and axis.axes.axison else []
+    low, high = axis.axes.get_window_extent().get_points()[:, k]
+    found = []
+    for label in labels:
+        place = float(label.get_transform().transform(label.get_position())[k])
+        if label.get_text() and low - 1 <= place <= high + 1:
+            found.append((place, label))
+    return sorted(found, key=lambda item: item[0])
 
 
 def _thumbnail(figure: Figure, salt: str) -> str:
@@ -177,7 +233,8 @@ def _adapt(svg: str, decimals: int) -> str:
         svg,
     )
     svg = re.sub(r' id="line-(\d+)"', r' data-line="\1"', svg)
-    svg = svg.replace(' id="told"', ' class="told"')
+    for part in ("told", "crowded"):
+        svg = svg.replace(f' id="{part}"', f' class="{part}"')
     svg = re.sub(r' transform="rotate\(-0 [^"]*\)"', "", svg)
     svg = re.sub(r" id=\"([A-Za-z_.0-9]+_\d+|image[0-9a-f]+)\"", "", svg).replace(
         "xlink:href", "href"
