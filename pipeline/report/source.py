@@ -102,7 +102,6 @@ class Line:
         columns = {v: data[v] for v in wanted if v in data}
         values = {v: one.values for v, one in columns.items() if one.dims == dims}
         branch, piece = self._branch_and_piece()
-
         on_branch = branch >= 0
         pairs = np.column_stack([branch[on_branch], piece[on_branch]])
         for number, part in np.unique(pairs, axis=0).tolist():
@@ -115,7 +114,7 @@ class Line:
         """The points of which `here`, (slope, gait), is true, from the first to the last
         slope that has one, with values NaN at slopes between that have none.
         """
-        is_there = here.any(axis=1)
+        is_there = np.any(here, axis=1)
         known = np.flatnonzero(is_there)
         row = np.arange(known[0], known[-1] + 1)
         has = is_there[row]

@@ -142,15 +142,18 @@ def _weights(count: int, x: int, s: int) -> list[tuple[int, float]]:
     """Numbers of the nearest of some nodes at 0, 2 s, 4 s …, and weights of their values
     in that of their polynomial at place x (Lagrange): those of all fields of a map.
     """
-    first = max(0, x // (2 * s) - _WIDTH // 2 + 1)
+    apart = 2 * s
+    first = x // apart - _WIDTH // 2 + 1
     first = max(0, min(first, count - _WIDTH))
-    nodes = range(first, min(first + _WIDTH, count))
+    last = min(first + _WIDTH, count)
+    nodes = range(first, last)
+
     weights = []
     for k in nodes:
         weight = 1.0
         for other in nodes:
             if other != k:
-                weight *= (x - 2 * s * other) / (2 * s * k - 2 * s * other)
+                weight *= (x - apart * other) / (apart * k - apart * other)
         weights.append((k, weight))
     return weights
 
