@@ -81,16 +81,21 @@ class Shape:
         -------
         ndarray, shape (*sizes, ...)
         """
-        own = [n for k, n in enumerate(self.sizes) if k != self.slope]
-        slopes = self.sizes[self.slope]
-        lines_first = rows.reshape(*own, slopes, *rows.shape[1:])
-        return np.moveaxis(lines_first, len(own), self.slope)
+        of_lines = list(self.sizes)
+        slopes = of_lines.pop(self.slope)
+        of_values = rows.shape[1:]
+
+        lines_first = rows.reshape(*of_lines, slopes, *of_values)
+        return np.moveaxis(lines_first, len(of_lines), self.slope)
 
     def fold(self, values: np.ndarray) -> np.ndarray:
         """Undo `unfold` for an array of whole chunks."""
+        dimensions = len(self.sizes)
+        of_values = values.shape[dimensions:]
+
         inside = values[tuple(map(slice, self.sizes))]
-        lines_first = np.moveaxis(inside, self.slope, len(self.sizes) - 1)
-        return lines_first.reshape(-1, *values.shape[len(self.sizes) :])
+        lines_first = np.moveaxis(inside, self.slope, dimensions - 1)
+        return lines_first.reshape(-1, *of_values)
 
 
 @dataclass(frozen=True)
@@ -158,7 +163,9 @@ class Grid:
 
         multipliers = [check["multipliers"] for check in study.checks]
         self.multipliers = max(multipliers, default=3)
-        self.keys = max((check["keys"] for check in study.checks), default=0)
+        keys = [check["keys"] for check in study.checks]
+        self.keys = max(keys, default=0)
+
         self.extent: tuple[int, ...] = ()
         if self.method is not Method.TASK:
             extent = self._extent(in_memory)
@@ -195,9 +202,11 @@ class Grid:
         sides = [np.arange(span.start, span.stop) for span in of_lines]
         indices = np.ix_(*sides)
         numbers = np.ravel_multi_index(indices, self.study.line_shape).ravel()
+
         sizes = tuple(span.stop - span.start for span in spans.values())
         shape = Shape(sizes, self.extent, self._place_of_slope)
-        return Chunk(spans, numbers, spans[self.study.along], shape)
+        slopes = spans[self.study.along]
+        return Chunk(spans, numbers, slopes, shape)
 
     def chunks_of_line(self, line: int) -> range:
         """Numbers of the chunks that hold the points of a line."""
@@ -205,14 +214,15 @@ class Grid:
         place = np.unravel_index(line, self.study.line_shape)
         if not self.study.walker_axis:
             place = place[1:]
-        first = [*map(int, place)]
-        first.insert(slope, 0)
-        pairs = zip(first, self.extent, strict=True)
+        point = [*map(int, place)]
+        point.insert(slope, 0)
+        pairs = zip(point, self.extent, strict=True)
         first = [k // extent for k, extent in pairs]
 
         start = int(np.ravel_multi_index(first, self._counts))
         step = math.prod(self._counts[slope + 1 :])
-        return range(start, start + self._counts[slope] * step, step)
+        stop = start + self._counts[slope] * step
+        return range(start, stop, step)
 
     def _extent(self, in_memory: bool) -> dict[str, int]:
         """Size of a chunk along each dimension: many lines at all slopes, or a part of
@@ -222,9 +232,11 @@ class Grid:
         along = self.study.along
         if self.method.is_of_lines:
             return {**self._extent_of_lines(slopes), along: slopes}
+
         each = dict.fromkeys(self.line_dims, 1)
         if in_memory:
             return {**each, along: slopes}
+
         chunks = math.ceil(slopes / self._most_points())
         of_chunk = math.ceil(slopes / chunks)
         return {**each, along: of_chunk}
@@ -248,16 +260,18 @@ class Grid:
             extent = dict(zip(own, shape, strict=True))
 
         points = slopes * math.prod(extent.values())
-        shape = box_shape(scaling, max(1, MOST_POINTS // points))
+        most_alike = max(1, MOST_POINTS // points)
+        shape = box_shape(scaling, most_alike)
         return extent | dict(zip(scaling, shape, strict=True))
 
     def _extent_of_plane(self, plane: Plane, slopes: int, alike: int) -> dict[str, int]:
         """Size of a chunk along the axes of a plane, of whose lines `alike` each differ
         only in their units.
         """
-        fewest, most = (points // slopes for points in PLANE_POINTS)
+        fewest_points, most_points = PLANE_POINTS
+        fewest = fewest_points // slopes
         of_chunk = MOST_POINTS // (slopes * alike)
-        most = min(most, of_chunk)
+        most = min(most_points // slopes, of_chunk)
         most = max(fewest, most)
 
         wanted = self.study.lines // alike // _PLANE_CHUNKS
@@ -268,7 +282,9 @@ class Grid:
         """Most points of a chunk of one line: those of about `_SECONDS`."""
         share = self.study.limits.seconds / _MAX_SHARE
         seconds = min(_SECONDS, share)
-        in_time = int(seconds / costs.of_point(self.study, self.method))
+        of_point = costs.of_point(self.study, self.method)
+        in_time = int(seconds / of_point)
+
         most = MOST_POINTS
         if not self.study.values_along.min() > _TINY:
             most = _MOST_TINY
@@ -283,6 +299,7 @@ def _tile(axes: tuple[Any, ...], lines: int) -> dict[str, int]:
     lines = max(1, lines)
     if not long:
         return {short.name: min(len(short), lines)}
+
     side = math.isqrt(lines)
     if len(short) <= 2 * side:
         side = min(len(short), lines)
@@ -297,4 +314,6 @@ def golden_ratio_order(n: int) -> Iterator[int]:
     first = max(1, round(0.618 * n))
     steps = range(first, 2 * n + 2)
     step = next(k for k in steps if math.gcd(k, n) == 1)
-    return ((n // 2 + i * step) % n for i in range(n))
+
+    middle = n // 2
+    return ((middle + i * step) % n for i in range(n))

@@ -29,7 +29,8 @@ from gaitsweep.tasks.mechanics.sums import matvec
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import from_largest, sections
 
-SUPERCRITICAL, SUBCRITICAL = "supercritical", "subcritical"
+SUPERCRITICAL = "supercritical"
+SUBCRITICAL = "subcritical"
 
 
 class _Stencil(NamedTuple):
@@ -43,25 +44,28 @@ class _Stencil(NamedTuple):
 
 
 _EIGHTH = _Stencil(
-    np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280]),
-    np.array([8 / 5, -1 / 5, 8 / 315, -1 / 560]),
-    -205 / 72,
+    first=np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280]),
+    second=np.array([8 / 5, -1 / 5, 8 / 315, -1 / 560]),
+    middle=-205 / 72,
 )
 _SIXTH = _Stencil(
-    np.array([3 / 4, -3 / 20, 1 / 60]),
-    np.array([3 / 2, -3 / 20, 1 / 90]),
-    -49 / 18,
+    first=np.array([3 / 4, -3 / 20, 1 / 60]),
+    second=np.array([3 / 2, -3 / 20, 1 / 90]),
+    middle=-49 / 18,
 )
 #: Steps of the differences over the stance angle.
 _STEPS = 2.0 ** -np.arange(4.0, 10.0)
 #: How many of these steps, the finest, show how rounding grows with finer ones.
 _FINEST = 3
-#: Evaluations of a step in which its event times settle, and their last change but one:
-#: each is of the order of the square of the one before.
-_TURNS, _SETTLED = 8, 1e-8
-#: Shares of its error by which the point is moved in each unit, and standard deviations
-#: in a bound.
-_MOVED, _SAFETY = np.array([0.0, 1.0, -1.0, 0.5]), 8.0
+#: Evaluations of a step in which its event times settle.
+_TURNS = 8
+#: Last change but one of settled times: each is of the order of the square of the one
+#: before.
+_SETTLED = 1e-8
+#: Shares of its error by which the point is moved, in each unit.
+_MOVED = np.array([0.0, 1.0, -1.0, 0.5])
+#: Standard deviations in a bound.
+_SAFETY = 8.0
 
 
 @dataclass(frozen=True)
@@ -117,19 +121,31 @@ def normal_form(problem: Problem, kind: str, Z: Gait, error: float) -> NormalFor
     """
     if kind not in _FORMS:
         return NONE
+
     at = _in_units(problem, Z, error)
     high, low = _forms(kind, at, _STEPS, (_EIGHTH, _SIXTH))
     by_angle = _over_angle(kind, at)
-    high, low = high * by_angle, low * by_angle
+    high = high * by_angle
+    low = low * by_angle
 
+    # The first lane is the point itself in the first unit.
+    truncation = np.abs(high - low)[:, 0]
     deviation = high.std(axis=1, ddof=1)
-    finest = deviation[-_FINEST:] * _STEPS[-_FINEST:] ** 2
-    rounding = np.sqrt((finest**2).mean()) / _STEPS**2
-    off = np.abs(high - low)[:, 0] + _SAFETY * (deviation + rounding)
+    off = truncation + _SAFETY * (deviation + _rounding(deviation))
     if not np.isfinite(off).any():
         return NONE
+
     best = int(np.nanargmin(off))
     return NormalForm(float(high[best, 0]), float(off[best]))
+
+
+def _rounding(deviation: ndarray) -> ndarray:
+    """What rounding does to coefficients for each of `_STEPS`, from their deviations
+    (steps,): with the inverse square of the step, as second differences have it.
+    """
+    finest = _STEPS[-_FINEST:]
+    scaled = deviation[-_FINEST:] * finest**2
+    return np.asarray(np.sqrt((scaled**2).mean()) / _STEPS**2)
 
 
 @dataclass(frozen=True)
@@ -161,20 +177,29 @@ class _Sections:
         """Take apart gaits that are evaluated, in the units of the evaluation."""
         problem = at.problem
         d = len(at.stride.jacobian)
-        _, durations = sections(at.w, at.m, problem.steps)
         y = at.stride.y[:d]
-        scale = np.exp(at.Z[0]) / y[0]
-        single = problem.of_steps(1)
-        return cls(single, y, durations, np.exp(at.q), scale, at.jacobians)
+        _, durations = sections(at.w, at.m, problem.steps)
+        return cls(
+            problem=problem.of_steps(1),
+            y=y,
+            durations=durations,
+            drive=np.exp(at.q),
+            scale=np.exp(at.Z[0]) / y[0],
+            jacobian=at.jacobians,
+        )
 
     def along(self, direction: ndarray, places: ndarray) -> ndarray:
         """Return derivatives of all steps at places (s,) along directions (d, n) from the
         first sections, shape (s, n, d, d); NaN where there is no step.
         """
-        s, (d, n) = len(places), self.y.shape
+        s = len(places)
+        d, n = self.y.shape
+        in_sections = self.y[0] * direction
+        shifts = places[:, None] * in_sections[:, None, :]
+        moved = self.y[:, None, :] + shifts
+        y = moved.reshape(d, -1)
+
         lanes = np.tile(np.arange(n), s)
-        shifts = places[:, None] * (self.y[0] * direction)[:, None, :]
-        y = (self.y[:, None, :] + shifts).reshape(d, -1)
         problem = self.problem.some(lanes)
         parameters = problem.parameters(self.drive[lanes], self.scale[lanes])
 
@@ -183,7 +208,8 @@ class _Sections:
             times = np.cumsum(durations, axis=0)[:, lanes]
             y, jacobian = _settled(problem, y, times, parameters)
             product = matvec(jacobian[:, :, None], product)
-        return np.moveaxis(product, -1, 0).reshape(s, n, d, d)
+        lanes_first = np.moveaxis(product, -1, 0)
+        return lanes_first.reshape(s, n, d, d)
 
 
 def _settled(
@@ -194,13 +220,17 @@ def _settled(
     """
     for _ in range(_TURNS):
         found = problem.step(y, times, parameters).times
-        is_settled = np.abs(found - times).max(axis=0) < _SETTLED
+        change = np.abs(found - times).max(axis=0)
         times = found
-        if (is_settled | np.isnan(found[-1])).all():
+        is_settled = change < _SETTLED
+        is_lost = np.isnan(found[-1])
+        if (is_settled | is_lost).all():
             break
+
     stride = problem.step(y, times, parameters)
     image = np.where(is_settled, stride.image, np.nan)
-    return image, np.where(is_settled, stride.jacobian, np.nan)
+    jacobian = np.where(is_settled, stride.jacobian, np.nan)
+    return image, jacobian
 
 
 def _in_units(problem: Problem, Z: Gait, error: float) -> _Sections:
@@ -209,15 +239,25 @@ def _in_units(problem: Problem, Z: Gait, error: float) -> _Sections:
     """
     w = from_largest(Z[:-1, None], problem.m, problem.steps)
     Z = np.vstack([w, Z[-1:, None]])
-    by_Z = Evaluation(Z, problem.stride(w, Z[-1], slope=True)[0], problem).derivative
-    by_slope = np.linalg.solve(by_Z[:, :-1, 0], -by_Z[:, -1, 0])
-    moved = Z + np.append(by_slope, 1.0)[:, None] * error * _MOVED
+    tangent = _by_log_slope(problem, Z)
+    moved = Z + tangent[:, None] * error * _MOVED
 
     y, scale = problem.section(moved)
     units = np.array(UNITS)
-    parameters = problem.parameters(np.exp(moved[-1]), scale * units)
-    stride = problem.map(y / units, moved[problem.m : -1], parameters, slope=True)
+    drive = np.exp(moved[-1])
+    times = moved[problem.m : -1]
+    parameters = problem.parameters(drive, scale * units)
+    stride = problem.map(y / units, times, parameters, slope=True)
     return _Sections.of(Evaluation(moved, stride, problem))
+
+
+def _by_log_slope(problem: Problem, Z: ndarray) -> ndarray:
+    """Derivative (c,) of the unknowns Z (c, 1) of a gait by its ln slope, the last."""
+    stride, _ = problem.stride(Z[:-1], Z[-1], slope=True)
+    derivative = Evaluation(Z, stride, problem).derivative[:, :, 0]
+    by_w = derivative[:, :-1]
+    by_slope = derivative[:, -1]
+    return np.append(np.linalg.solve(by_w, -by_slope), 1.0)
 
 
 class _Eigen(NamedTuple):
@@ -234,16 +274,19 @@ def _critical(kind: str, jacobian: ndarray) -> _Eigen:
     """The multiplier nearest to -1, or the upper one of a complex pair, of derivatives
     (n, d, d).
     """
-    known = np.where(np.isfinite(jacobian), jacobian, 0.0)
-    values, right = np.linalg.eig(known)
+    finite = np.where(np.isfinite(jacobian), jacobian, 0.0)
+    values, right = np.linalg.eig(finite)
     left = np.linalg.pinv(right)
-    lanes = np.arange(len(values))
+
     off = np.abs(values + 1) if kind == "flip" else -values.imag
-    own = off.argmin(axis=1)
-    eigen = _Eigen(values[lanes, own], right[lanes, :, own], left[lanes, own])
+    nearest = off.argmin(axis=1)
+    lanes = np.arange(len(values))
+    value = values[lanes, nearest]
+    q = right[lanes, :, nearest]
+    p = left[lanes, nearest]
     if kind == "flip":
-        return _Eigen(*(np.real(part) for part in eigen))
-    return eigen
+        return _Eigen(value.real, q.real, p.real)
+    return _Eigen(value, q, p)
 
 
 class _Line(NamedTuple):
@@ -265,15 +308,17 @@ class _Line(NamedTuple):
     @classmethod
     def along(cls, at: _Sections, direction: ndarray, places: ndarray) -> _Line:
         """Evaluate steps at places (s,) along a direction (d, n)."""
-        both = at.along(direction, np.hstack([places, -places]))
-        more, less = np.split(both, 2)
+        both_sides = np.hstack([places, -places])
+        more, less = np.split(at.along(direction, both_sides), 2)
         return cls(places, more, less, at.jacobian)
 
     def differences(self, stencil: _Stencil, step: float) -> tuple[ndarray, ndarray]:
         """First and second derivatives along the direction (n, d, d)."""
         reach = step * np.arange(1, len(stencil.first) + 1)
         some = np.searchsorted(self.places, reach)
-        more, less = self.more[some], self.less[some]
+        more = self.more[some]
+        less = self.less[some]
+
         first = np.tensordot(stencil.first, more - less, 1)
         second = np.tensordot(stencil.second, more + less, 1)
         second = second + stencil.middle * self.middle
@@ -285,7 +330,9 @@ def _forms(
 ) -> list[ndarray]:
     """Coefficients by each stencil, for each step of the differences, shape (steps, n)."""
     eigen = _critical(kind, at.jacobian)
-    parts = [eigen.right] if kind == "flip" else [eigen.right.real, eigen.right.imag]
+    q = eigen.right
+    parts = [q] if kind == "flip" else [q.real, q.imag]
+
     reach = np.arange(1, len(stencils[0].first) + 1)
     places = np.unique(np.outer(steps, reach))
     lines = [_Line.along(at, part.T, places) for part in parts]
@@ -302,27 +349,36 @@ def _forms(
 
 def _times(matrices: ndarray, vectors: ndarray) -> ndarray:
     """Products of matrices (n, d, d) and vectors (n, d)."""
-    return np.asarray((matrices @ vectors[..., None])[..., 0])
+    columns = matrices @ vectors[..., None]
+    return np.asarray(columns[..., 0])
 
 
 def _solved(matrices: ndarray, vectors: ndarray) -> ndarray:
     """Solutions of equations (n, d, d) for vectors (n, d); NaN where there is none."""
-    out = np.full(vectors.shape, np.nan, np.result_type(matrices, vectors))
-    regular = np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(vectors).all(axis=1)
+    regular = np.isfinite(matrices).all(axis=(1, 2))
+    regular &= np.isfinite(vectors).all(axis=1)
     regular[regular] = np.linalg.det(matrices[regular]) != 0
-    out[regular] = np.linalg.solve(matrices[regular], vectors[regular][..., None])[
-        ..., 0
-    ]
+
+    out = np.full(vectors.shape, np.nan, np.result_type(matrices, vectors))
+    columns = vectors[regular][..., None]
+    solutions = np.linalg.solve(matrices[regular], columns)
+    out[regular] = solutions[..., 0]
     return out
 
 
 def _of_flip(
     A: ndarray, eigen: _Eigen, differences: list[tuple[ndarray, ndarray]]
 ) -> ndarray:
-    """Of a flip: b = <p, C(q, q, q)> / 6 + <p, B(q, (I - A)^-1 B(q, q))> / 2."""
+    """Of a flip, shape (n,): b = <p, C(q, q, q)> / 6 + <p, B(q, (I - A)^-1 B(q, q))> / 2.
+
+    Derivatives along q are matrices, B = B(q, .) and C = C(q, q, .), shape (n, d, d).
+    """
     ((B, C),) = differences
-    q, p = eigen.right, eigen.left
-    h = _solved(np.eye(A.shape[-1]) - A, _times(B, q))
+    q = eigen.right
+    p = eigen.left
+    one = np.eye(A.shape[-1])
+
+    h = _solved(one - A, _times(B, q))
     vectors = _times(C, q) / 6 + _times(B, h) / 2
     return np.asarray((p * vectors).sum(axis=1))
 
@@ -330,19 +386,27 @@ def _of_flip(
 def _of_pair(
     A: ndarray, eigen: _Eigen, differences: list[tuple[ndarray, ndarray]]
 ) -> ndarray:
-    """Of a pair: d = Re e^(-i theta) (<p, C(q, q, q')> + 2 <p, B(q, (I - A)^-1 B(q, q'))>
+    """Of a pair, shape (n,): d = Re e^(-i theta) (<p, C(q, q, q')>
+    + 2 <p, B(q, (I - A)^-1 B(q, q'))>
     + <p, B(q', (e^(2 i theta) I - A)^-1 B(q, q))>) / 2, with q' conjugate to q.
+
+    Derivatives along the real and the imaginary part of q are matrices, shape (n, d, d),
+    from which B = B(q, .), complex, and C = C(q, q', .), real.
     """
-    (by_real, of_real), (by_imag, of_imag) = differences
-    B, C = by_real + 1j * by_imag, of_real + of_imag
-    q, p = eigen.right, eigen.left
+    (B_real, C_real), (B_imag, C_imag) = differences
+    B = B_real + 1j * B_imag
+    C = C_real + C_imag
+    q = eigen.right
+    p = eigen.left
     one = np.eye(A.shape[-1])
     turn = eigen.value / np.abs(eigen.value)
+    twice = (turn**2)[:, None, None]
 
     mean = _solved(one - A, _times(B, q.conj()))
-    double = _solved((turn**2)[:, None, None] * one - A, _times(B, q))
+    double = _solved(twice * one - A, _times(B, q))
     vectors = _times(C, q) + 2 * _times(B, mean) + _times(B.conj(), double)
-    return np.asarray(((p * vectors).sum(axis=1) / turn).real / 2)
+    products = (p * vectors).sum(axis=1)
+    return np.asarray((products / turn).real / 2)
 
 
 #: Coefficients for unit vectors, of each kind that has them.

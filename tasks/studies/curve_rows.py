@@ -44,13 +44,18 @@ def rows(
     reasons = [""] * len(points)
     reasons[0] = stopped[0]
     reasons[-1] = stopped[1]
+
     for X, reason in zip(points, reasons, strict=True):
         is_step = int(walks(equations, X))
         placed = place(X)
-        Z, _ = equations.split(X[:, None])
-        problem = equations.problem_at(X[:, None]).alone(0)
-        form = normal_form(problem, kind, Z[:, 0], float(placed[-1]))
-        yield (*head, *placed, *form_columns(kind, form), is_step, reason)
+        error = float(placed[-1])
+
+        lane = X[:, None]
+        Z, _ = equations.split(lane)
+        problem = equations.problem_at(lane).alone(0)
+        form = normal_form(problem, kind, Z[:, 0], error)
+        columns = form_columns(kind, form)
+        yield (*head, *placed, *columns, is_step, reason)
 
 
 def form_columns(kind: str, form: NormalForm) -> tuple[float, float, str]:
@@ -65,8 +70,10 @@ def start_and_period(
     gait Z (c,) in similarity coordinates and ln drive, in the walker's units.
     """
     y, scale = problem.section(Z[:-1, None])
-    state = problem.start(y * scale, np.exp(Z[-1:]))[:, 0]
+    drive = np.exp(Z[-1:])
+    state = problem.start(y * scale, drive)[:, 0]
 
     angle, *rates = state.tolist()
     in_units = [rate / time_unit for rate in rates]
-    return (angle, *in_units, float(Z[-2]) * time_unit)
+    period = float(Z[-2]) * time_unit
+    return (angle, *in_units, period)

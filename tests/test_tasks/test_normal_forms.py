@@ -42,22 +42,32 @@ SECOND = 8 / 5, -1 / 5, 8 / 315, -1 / 560
 def located(walker, **keys):
     """The walker's problem, and its flips: unknowns Z with their bounds."""
     problem, found = branches(walker, **keys)
-    points = [point for branch in found for point in special_points(problem, branch)]
+
+    points = []
+    for each in found:
+        points += special_points(problem, each)
     of_flips = [point for point in points if point["kind"] == "flip"]
-    return problem, [(np.array(p["Z"]), p["error_bound"]) for p in of_flips]
+
+    bounded = [(np.array(flip["Z"]), flip["error_bound"]) for flip in of_flips]
+    return problem, bounded
 
 
 def pair():
     """A walker's problem, and a Neimark-Sacker point with its bound."""
     problem = Problem(resolve("C", DETUNED))
     condition = CONDITIONS["neimark_sacker"]
-    found = solve(Equations(problem, [condition]), np.array(PAIR)[:, None])
-    Z = found.Z[:, 0]
-    return problem, Z, slope_error(problem, condition, Z)
+    equations = Equations(problem, [condition])
+    guess = np.array(PAIR)[:, None]
+
+    Z = solve(equations, guess).Z[:, 0]
+    error = slope_error(problem, condition, Z)
+    return problem, Z, error
 
 
 def at_slope(problem, log_slope, Z):
-    equations = Equations(problem, [CONDITIONS["window"].equal_to(log_slope)])
+    """The gait of that ln slope, evaluated, from one beside it."""
+    condition = CONDITIONS["window"].equal_to(log_slope)
+    equations = Equations(problem, [condition])
     return solve(equations, Z[:, None]).at
 
 
@@ -69,10 +79,14 @@ def by_doubled(problem, Z):
     flip = evaluate(problem, Z[:, None])
     point, *_ = some([doubled(flip, 1e-5)])[0]
     y, _ = sections(point.at.w, point.at.m, 2 * problem.steps)
-    xi = (y[0, 0, 0] - y[problem.steps, 0, 0]) / (y[0, 0, 0] + y[problem.steps, 0, 0])
+    first = y[0, 0, 0]
+    second = y[problem.steps, 0, 0]
+    xi = (first - second) / (first + second)
+
     single = at_slope(problem, point.Z[-1, 0], Z).multipliers[0]
     nearest = single[np.abs(single + 1).argmin()].real
-    return (-1 - nearest) / xi**2, np.abs(point.at.multipliers[0]).max()
+    largest = np.abs(point.at.multipliers[0]).max()
+    return (-1 - nearest) / xi**2, largest
 
 
 @pytest.mark.parametrize(
@@ -102,7 +116,8 @@ def test_gaits_of_two_steps_beside_a_flip_have_the_coefficient(walker, keys, exp
     for form, (Z, _) in zip(found, points, strict=True):
         b, largest = by_doubled(problem, Z)
         assert form.coefficient == pytest.approx(b, rel=5e-3)
-        others = np.sort(np.abs(evaluate(problem, Z[:, None]).multipliers[0]))
+        multipliers = evaluate(problem, Z[:, None]).multipliers[0]
+        others = np.sort(np.abs(multipliers))
         if others[-2:].max() < 1 + 1e-6:
             assert (largest < 1) == (form.criticality("flip") == "supercritical")
 
@@ -112,7 +127,9 @@ def test_flips_of_gaits_of_two_steps_have_the_coefficient_of_the_larger_step():
     problem, found = branches("D")
     twice = problem.of_steps(2)
     begun = cycle_branches(problem, found, 2)
-    second = [each for branch in begun for each in flips(twice, branch)]
+    second = []
+    for each in begun:
+        second += flips(twice, each)
 
     for each in some(second):
         w = from_largest(each.w, twice.m, 2)
@@ -124,9 +141,12 @@ def test_flips_of_gaits_of_two_steps_have_the_coefficient_of_the_larger_step():
 
 def after_steps(problem, y, Z, count):
     """Sections (m, n) one step after another from y, at the slope of a gait Z."""
-    scale = np.full(y.shape[1], problem.section(Z[:, None])[1][0])
-    parameters = problem.parameters(np.full(y.shape[1], np.exp(Z[-1])), scale)
-    times = np.repeat(Z[problem.m : -1, None], y.shape[1], axis=1)
+    n = y.shape[1]
+    _, scale = problem.section(Z[:, None])
+    drive = np.full(n, np.exp(Z[-1]))
+    parameters = problem.parameters(drive, np.full(n, scale[0]))
+    times = np.repeat(Z[problem.m : -1, None], n, axis=1)
+
     for _ in range(count):
         for _ in range(4):
             stride = problem.map(y, times, parameters)
@@ -138,16 +158,21 @@ def after_steps(problem, y, Z, count):
 def vectors_of_pair(A):
     """The upper multiplier's right and left vectors, of amplitudes of the stance angle."""
     values, right = np.linalg.eig(A)
-    own = values.imag.argmax()
-    q = right[:, [own]] / right[0, own]
-    return q, 2 * np.linalg.inv(right)[[own]] * right[0, own]
+    left = np.linalg.inv(right)
+
+    upper = values.imag.argmax()
+    angle = right[0, upper]
+    q = right[:, [upper]] / angle
+    p = 2 * left[[upper]] * angle
+    return q, p
 
 
 def test_steps_beside_a_pair_recede_as_the_normal_form_has_it():
     """Of r' = r + d r^3 the inverse square of r falls by 2 d each step."""
     problem, Z, error = pair()
     form = normal_form(problem, "neimark_sacker", Z, error)
-    q, p = vectors_of_pair(evaluate(problem, Z[:, None]).jacobians[0])
+    A = evaluate(problem, Z[:, None]).jacobians[0]
+    q, p = vectors_of_pair(A)
     y, _ = problem.section(Z[:, None])
     phases = np.exp(2j * np.pi * np.arange(24) / 24)
     begins = y + 0.005 * y[0] * (q * phases).real
@@ -167,35 +192,42 @@ def test_branches_and_curves_have_the_normal_forms_of_flips():
     line = {"walker": "D", "set": {}}
     known = _atlas("D", ())
     window = {"slope_from": 1e-3, "slope_to": 0.02, "n": 2}
-    asked = {"slope": np.array([0.01, 0.02]), "key": "g", "from": 1.0, "to": 2.0}
+    asked = {
+        "slope": np.array([0.01, 0.02]),
+        "key": "g",
+        "from": 1.0,
+        "to": 2.0,
+        "kinds": ["flip", "fold"],
+    }
 
     along = branch({"line": line, **window}, [known])
-    over = curve({"line": line, **asked, "kinds": ["flip", "fold"]}, [known])
+    over = curve({"line": line, **asked}, [known])
 
     is_flip = along["special_points/kind"] == "flip"
     b = along["special_points/normal_form"]
     assert b[is_flip] == pytest.approx([335.727656883], rel=1e-9)
-    assert np.isnan(b[~is_flip]).all() and (~is_flip).any()
+    assert (~is_flip).any()
+    assert np.isnan(b[~is_flip]).all()
     assert over["curves/normal_form"] == pytest.approx(b[is_flip][0], rel=1e-9)
     assert (over["curves/normal_form_error"] < 1e-6).all()
-    for table, rows in ((along, is_flip), (over, slice(None))):
-        group = "special_points" if table is along else "curves"
-        assert set(table[f"{group}/criticality"][rows]) == {"supercritical"}
+    assert set(along["special_points/criticality"][is_flip]) == {"supercritical"}
+    assert set(over["curves/criticality"]) == {"supercritical"}
 
 
 def exact_form(problem, kind, Z):
     """The coefficient by differences in 113 bits, at the point in as many."""
-    number, m = hy.real128, problem.m
+    number = hy.real128
+    m = problem.m
+    precise = _precise(problem.structure)
+
     slope = exact_slope(problem, kind, Z)
     exact = lump(problem.walker, number)
     constants = [exact[name] for name in problem.structure.constants]
     parameters = np.array([slope, number(1.0), *constants], dtype=number)
-    precise = _precise(problem.structure)
-    section = np.exp(Z[0]) * np.append(1.0, Z[1:m])
-    y, step = precise.fixed_point(
-        precise.array(section), precise.array(Z[m:-1]), parameters
-    )
-    A = np.array(step["jacobian"], float)
+    section = precise.array(np.exp(Z[0]) * np.append(1.0, Z[1:m]))
+    times = precise.array(Z[m:-1])
+    y, step = precise.fixed_point(section, times, parameters)
+    middle = step["jacobian"]
 
     def jacobian(shift):
         moved = y + precise.array(shift) * y[0]
@@ -203,35 +235,52 @@ def exact_form(problem, kind, Z):
 
     def along(v):
         h = 2.0**-13
-        more = [jacobian(j * h * v) for j in (1, 2, 3, 4)]
-        less = [jacobian(-j * h * v) for j in (1, 2, 3, 4)]
-        first, second = 0, 0
-        for k in range(4):
-            first = first + number(FIRST[k]) * (more[k] - less[k])
-            bend = more[k] + less[k] - number(2.0) * step["jacobian"]
-            second = second + number(SECOND[k]) * bend
-        return np.array(first, float) / h, np.array(second, float) / h**2
+        first = 0
+        second = 0
+        for j, of_first, of_second in zip((1, 2, 3, 4), FIRST, SECOND, strict=True):
+            more = jacobian(j * h * v)
+            less = jacobian(-j * h * v)
+            bend = more + less - number(2.0) * middle
+            first = first + number(of_first) * (more - less)
+            second = second + number(of_second) * bend
 
+        B = np.array(first, float) / h
+        C = np.array(second, float) / h**2
+        return B, C
+
+    A = np.array(middle, float)
     return (_of_flip if kind == "flip" else _of_pair)(A, along)
 
 
 def _of_flip(A, along):
     values, right = np.linalg.eig(A)
-    own = np.abs(values + 1).argmin()
-    q, p = right[:, own].real, np.linalg.inv(right)[own].real
+    left = np.linalg.inv(right)
+    nearest = np.abs(values + 1).argmin()
+    q = right[:, nearest].real
+    p = left[nearest].real
+
     B, C = along(q)
-    b = p @ (C @ q) / 6 + p @ (B @ np.linalg.solve(np.eye(len(A)) - A, B @ q)) / 2
+    mean = np.linalg.solve(np.eye(len(A)) - A, B @ q)
+    b = p @ (C @ q) / 6 + p @ (B @ mean) / 2
     return b / q[0] ** 2
 
 
 def _of_pair(A, along):
     values, right = np.linalg.eig(A)
-    own = values.imag.argmax()
-    q, p, turn = right[:, own], np.linalg.inv(right)[own], values[own]
-    (B, C), (D, E) = along(q.real), along(q.imag)
-    B, C = B + 1j * D, C + E
-    mean = np.linalg.solve(np.eye(len(A)) - A, B @ q.conj())
-    double = np.linalg.solve(turn**2 * np.eye(len(A)) - A, B @ q)
+    left = np.linalg.inv(right)
+    upper = values.imag.argmax()
+    turn = values[upper]
+    q = right[:, upper]
+    p = left[upper]
+
+    B_real, C_real = along(q.real)
+    B_imag, C_imag = along(q.imag)
+    B = B_real + 1j * B_imag
+    C = C_real + C_imag
+
+    one = np.eye(len(A))
+    mean = np.linalg.solve(one - A, B @ q.conj())
+    double = np.linalg.solve(turn**2 * one - A, B @ q)
     terms = C @ q + 2 * B @ mean + B.conj() @ double
     return (p @ terms / turn).real / 2 / abs(2 * q[0]) ** 2
 
@@ -260,7 +309,9 @@ def test_coefficients_lie_within_their_bounds_of_those_in_113_bits(walker, keys)
 @SLOW
 def test_that_of_a_pair_lies_within_its_bound_of_that_in_113_bits():
     problem, Z, error = pair()
+
     form = normal_form(problem, "neimark_sacker", Z, error)
+
     exact = exact_form(problem, "neimark_sacker", Z)
     assert abs(form.coefficient - exact) < form.error < 1e-7
 
