@@ -394,11 +394,18 @@ def test_the_search_of_the_index_leads_to_findings_and_claims(opened, report):
 
 @pytest.mark.parametrize("page", ["transition", "detuning"])
 def test_figures_fit_a_phone(opened, report, page):
+    """Those with long words keep their size, and are moved sideways in their frames."""
     browser = opened(report / f"{page}.html", 390)
-    widths = browser.execute_script(
-        "return [...document.querySelectorAll('.plot')].map(p => p.getBoundingClientRect().right)"
-    )
-    assert widths and max(widths) <= 390
+    ends = "[...document.querySelectorAll('{}')].map(p => p.getBoundingClientRect().right)"
+
+    plots = ask(browser, ends.format(".plot:not(.wide)"))
+    frames = ask(browser, ends.format(".frame"))
+
+    assert plots and max(plots) <= 390
+    assert max(frames) <= 390
+    scrolled = "[...document.querySelectorAll('.frame:has(> .wide)')].map(f => getComputedStyle(f).overflowX)"
+    assert set(ask(browser, scrolled)) <= {"auto"}
+    assert ask(browser, "document.documentElement.scrollWidth") <= 390
 
 
 @pytest.mark.parametrize("page", ["transition", "detuning"])

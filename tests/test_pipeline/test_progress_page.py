@@ -106,7 +106,7 @@ def test_a_page_kept_beside_a_run_shows_figures_and_lines_and_ends_with_it(toy):
     )
     archive = toy.folder / "data" / "archive" / "toy.nc"
     run = toy.start(
-        "run", "toy.toml", "--chunk", 5, "--snapshot", "0", TOY_SECONDS="0.15"
+        "run", "toy.toml", "--chunk", 5, "--snapshot", "0", TOY_SECONDS="0.4"
     )
     while not archive.exists() and run.poll() is None:
         time.sleep(0.02)
