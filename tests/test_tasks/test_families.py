@@ -1118,12 +1118,15 @@ def test_lines_of_a_plane_whose_stability_errors_could_change_are_integrated(
     assert 0 < sum(integrated) < 24
 
 
+def place_of(quantity):
+    smooth = Smooth.of(Problem(resolve("B")), ("stance_angle",))
+    return smooth.names.index(quantity)
+
+
 def test_lines_of_a_plane_whose_labels_errors_could_change_are_integrated():
     family, cell = cell_of("B")
     made = interpolate.sheets(family, cell, ANGLE, 10**6)
-    ratio = Smooth.of(resolve("B"), ("stance_angle",), 3).names.index(
-        "heelstrike_rate_ratio"
-    )
+    ratio = place_of("heelstrike_rate_ratio")
     coefficients = made[0].chart.coefficients.copy()
     coefficients[:, ratio] = 0.0
     sizes = made[0].chart.sizes
