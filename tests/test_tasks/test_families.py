@@ -1252,7 +1252,11 @@ def test_a_piece_is_cut_before_its_end(beyond, off):
     maker = object.__new__(_Maker)
     maker.d, maker.window = 1, (-4.0, -3.0)
     group = [
-        SimpleNamespace(q=(-5.0 - k, -2.0), kinds=("end_fall", "end_fall"))
+        SimpleNamespace(
+            q=(-5.0 - k, -2.0),
+            kinds=("end_fall", "end_fall"),
+            vanishes=lambda side: False,
+        )
         for k in (0, 1)
     ]
     group[1].q = (-4.0 - beyond, -2.0)
