@@ -90,7 +90,8 @@ def of_dataset(study: Study) -> dict[str, Any]:
         "references": PAPER,
     }
     about |= {"accuracy": study.accuracy} if study.accuracy else {}
-    about |= {"along": study.drive} if study.drive else {}
+    is_followed = study.drive and study.kind != "grid"
+    about |= {"along": study.drive} if is_followed else {}
     meaning = (
         f"gaits that repeat after {study.steps} steps: the state is that with the largest stance angle, period and "
         f"losses are of all {study.steps} steps, a violation is the worst of them"

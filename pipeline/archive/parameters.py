@@ -34,7 +34,7 @@ def write(file: Any, study: Study) -> None:
     axes = {axis.name: axis.values for axis in study.line_axes}
     tables = [check["table"] for check in study.checks]
     for key in _constant_along_lines(study):
-        if key not in axes:
+        if key not in axes and key != study.along:
             _write_one(file, study, key, axes)
 
     moved = set(axes)

@@ -97,6 +97,8 @@ def point_params(study: Study, method: Method) -> dict[str, Any]:
     names = variables(study)
     if any(VARIABLES[name].group == SENSITIVITIES for name in names):
         given["charted"] = is_charted(study, method)
+    if study.drive:
+        given["along"] = study.drive
     measures = _versions(names)
     if measures:
         given["measures"] = measures
@@ -151,8 +153,9 @@ def _atlas_params(
 ) -> dict[str, Any]:
     """Parameters of the atlas of a line."""
     if study.drive:
+        few = {"coarse": True} if method.is_coarse else {}
         steps = {"steps": study.steps} if study.steps > 1 else {}
-        return {"line": line, "along": study.drive, **steps}
+        return {"line": line, "along": study.drive, **few, **steps}
     params: dict[str, Any] = {
         "line": line if "drive" in study.features else _without_g(line),
         "coarse": method.is_coarse,
@@ -173,13 +176,21 @@ def _charts_params(
     varied = [*study.plane.region["keys"]]
     varied += [axis.name for axis in study.scaling]
     fixed = {key: value for key, value in line["set"].items() if key not in varied}
-    window = {**_window(study), "slopes": about(len(study.values_along))}
+    leads = study.values_along[study.values_along > 0]
+    window = {
+        "slope_from": float(leads.min()),
+        "slope_to": float(leads.max()),
+        "slopes": about(len(leads)),
+    }
     of_plane = {**line, "set": fixed}
+    along = {"along": study.drive} if study.drive else {}
+    plane = {"plane": box or study.plane.region, **along, **window}
     if not study.accuracy:
-        region = box or study.plane.region
-        return {"line": _without_g(of_plane), "plane": region, **window, "want": ()}
+        is_driven = "drive" in study.features
+        own = of_plane if is_driven else _without_g(of_plane)
+        return {"line": own, **plane, "want": ()}
     wanted = {"want": variables(study), "accuracy": study.accuracy}
-    return {"line": of_plane, "plane": box or study.plane.region, **window, **wanted}
+    return {"line": of_plane, **plane, **wanted}
 
 
 def _without_g(line: Mapping[str, Any]) -> dict[str, Any]:
@@ -191,10 +202,8 @@ def _without_g(line: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _window(study: Study) -> dict[str, float]:
-    return {
-        "slope_from": float(study.values_along.min()),
-        "slope_to": float(study.values_along.max()),
-    }
+    values = study.values_along
+    return {"slope_from": float(values.min()), "slope_to": float(values.max())}
 
 
 def study_params(study: Study, name: str) -> dict[str, Any]:

@@ -35,6 +35,7 @@ def seconds_over_plane(study: Study) -> tuple[float, float]:
         and study.steps == 1
         and TASKS["atlas"].over_plane
         and wants_points_alone(study)
+        and study.values_along.max() > 0
     )
     if not study.plane or not is_possible:
         return math.inf, math.inf

@@ -61,11 +61,9 @@ def scaling_axes(study: Study) -> tuple[Axis, ...]:
 
 
 def is_interpolated(study: Study) -> bool:
-    """Whether polynomials over slopes may give the points: a line has many, of smooth
-    variables, and they suffice. Walkers that are driven are solved one by one.
+    """Whether polynomials over slopes, or what else drives, may give the points: a line
+    has many, of smooth variables, and they suffice.
     """
-    if "drive" in study.features:
-        return False
     if len(study.values_along) <= SHORT_LINE:
         return False
     return accuracy.is_interpolated(variables(study), study.accuracy)
@@ -73,6 +71,8 @@ def is_interpolated(study: Study) -> bool:
 
 def is_charted(study: Study, method: Method) -> bool:
     """Whether polynomials over slopes may give the derivatives of gaits."""
+    if study.drive:
+        return False
     down = study.values_along[study.values_along > 0]
     if method is not Method.LONG or not len(down):
         return False

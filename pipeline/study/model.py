@@ -10,7 +10,14 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gaitsweep.tasks.contract.accuracy import is_converted
-from gaitsweep.tasks.contract.registry import DRIVES, OVER_DRIVE, VARIED, WINDOWED
+from gaitsweep.tasks.contract.registry import (
+    DRIVES,
+    OVER_DRIVE,
+    READS,
+    TASKS,
+    VARIED,
+    WINDOWED,
+)
 
 #: A walker as studies define it: its name, or the table of its keys.
 Definition: TypeAlias = str | dict[str, Any]
@@ -185,13 +192,27 @@ class Study:
         """
         axes = {axis.name: axis.values for axis in self.axes}
         found = [name for name in DRIVES if name in axes]
-        if self.kind not in OVER_DRIVE or not found or "slope" not in axes:
+        if self.kind == "grid":
+            found = [name for name in found if self._is_solved_along(name, axes[name])]
+        elif self.kind not in OVER_DRIVE:
+            return ""
+        if not found or "slope" not in axes:
             return ""
         is_window = self.kind in WINDOWED
         is_fixed = (axes["slope"] <= 0).all() or (is_window and len(axes["slope"]) == 1)
         # Of two the first that has a range.
         found.sort(key=lambda name: len(np.unique(axes[name])) == 1)
         return found[0] if is_fixed else ""
+
+    def _is_solved_along(self, key: str, values: np.ndarray) -> bool:
+        """Whether the points of a grid are solved along values of a key that drives, as
+        some do: not where anything reads its lines along slopes.
+        """
+        if key == "hip_torque" and any(check["massless_leg"] for check in self.checks):
+            return False
+        reads = [read for name in self.figures for read in READS.get(name, ())]
+        is_read = self.fits or self.claims or not TASKS.keys().isdisjoint(reads)
+        return not (self.at or is_read) and len(np.unique(values[values > 0])) > 1
 
     @property
     def is_driven(self) -> bool:
@@ -289,6 +310,8 @@ class Study:
         ]
         axes = sorted(axes, key=len)[-2:]
         of_designs = self.kind == "design"
+        if of_designs and "drive" in self.features:
+            return None
         if not of_designs and len(axes) == 2 and len(axes[0]) < _MIN_ACROSS:
             del axes[0]
         plane = Plane(tuple(sorted(axes, key=lambda axis: axis.name)))

@@ -277,7 +277,7 @@ def _level(study: Study) -> list[float]:
 def _what_drives_has_a_logarithm(study: Study, top: Location) -> Iterator[StudyError]:
     """Gaits are followed over the logarithm of what drives."""
     least = float(study.values_along.min())
-    if study.drive and least <= 0:
+    if study.drive and study.kind != "grid" and least <= 0:
         yield top.at("axes", study.drive).wrong(
             "must be > 0 where gaits are followed over it", least
         )
@@ -287,7 +287,7 @@ def _what_is_over_slopes_has_slopes(
     study: Study, top: Location
 ) -> Iterator[StudyError]:
     """Fits, claims and figures of a walker's gaits over slopes are of such studies."""
-    if not study.drive:
+    if not study.drive or study.kind == "grid":
         return
     for key, name in _wanted(study, "fits", "figures", "claims"):
         if key != "figures" or set(registry.READS.get(name, ())) & {*registry.TASKS}:

@@ -149,6 +149,17 @@ def _log_slope_by_Z(at: Evaluation) -> ndarray:
     return by_Z
 
 
+def _log_angle(at: Evaluation) -> ndarray:
+    """Logarithm of the stance angle."""
+    return at.Z[0]
+
+
+def _log_angle_by_Z(at: Evaluation) -> ndarray:
+    by_Z = np.zeros_like(at.Z)
+    by_Z[0] = 1.0
+    return by_Z
+
+
 def _fold(at: Evaluation) -> ndarray:
     """Determinant of the joint equations at a fixed slope."""
     return determinants(at.derivative[:, :-1].transpose(2, 0, 1))
@@ -363,6 +374,7 @@ _TABLE = (
     Condition("label", _label),
     Condition("window", _log_slope, _log_slope_by_Z),
     Condition("speed", _log_speed, _log_speed_by_Z),
+    Condition("small_step", _log_angle, _log_angle_by_Z),
 )
 #: The condition of each kind that equations define, by its name.
 CONDITIONS: dict[str, Condition] = {each.name: each for each in _TABLE}

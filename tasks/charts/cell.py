@@ -5,6 +5,7 @@ from few lines and checked.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -27,12 +28,12 @@ from gaitsweep.tasks.charts.patch import (
     side_of_fold,
 )
 from gaitsweep.tasks.charts.patch_ends import BEYOND, CUT, END, EVENTS, FOLD, LOCATED
-from gaitsweep.tasks.charts.pieces import Piece, match, pieces_of
+from gaitsweep.tasks.charts.pieces import FAST, Piece, match, pieces_of
 from gaitsweep.tasks.charts.span import Span
 from gaitsweep.tasks.charts.tuning import Tuning
 from gaitsweep.tasks.gaits.newton import newton, newton_step
 from gaitsweep.tasks.gaits.step_check import verify_steps
-from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
+from gaitsweep.tasks.mechanics.lumped import Structure
 from gaitsweep.tasks.step.problem import Lanes
 
 #: Coordinates of lines at the centre of a box, where no constant of a walker vanishes
@@ -71,9 +72,10 @@ _REACH = 4.0
 _SLIVER = 1 / 64
 _BALANCED = 0.25
 _PLACES = 9
-#: Norm of rates over angle at an end from which on steps nearly vanish there
-#: [sqrt(g/leg)].
-_FAST = 4.0
+#: Logarithm of the angle of steps at which pieces end along which steps vanish at a
+#: finite drive, and how far before that these ends are, over the square of the angle.
+_SMALL = -6.0
+_BEFORE_VANISHING = 4.0
 #: How near a patch is to pieces of lines in a corner, and inside.
 _ALIKE = (0.1, 1e-2)
 #: First share of the way on which a gait is carried at a time, and the largest distance
@@ -117,13 +119,15 @@ def from_arrays(family: Family, arrays: Mapping[str, np.ndarray]) -> list[Cell]:
 
 def structure_of(family: Family, box: Box) -> Structure:
     """Return the structure of all walkers of a box."""
-    return common_structure(family.walkers(box.nodes(3)))
+    return family.drive.common_structure(family.walkers(box.nodes(3)))
 
 
 class Block:
-    """Lines of a cell, at values of its keys (n, d) and slopes (s,): n s points.
+    """Lines of a cell, at values of its keys (n, d) and slopes, or of what else drives
+    in the walker's units (s,): n s points.
 
-    `unit` are the coordinates of the keys, `q` the ln slopes.
+    `unit` are the coordinates of the keys, `drive` and `q` (n, s) the slopes or other
+    drives as `problem`, with a lane for each line, counts them, and their logarithms.
     """
 
     def __init__(
@@ -131,13 +135,17 @@ class Block:
         family: Family,
         cell: Cell,
         keys: np.ndarray,
-        slope: np.ndarray,
+        values: np.ndarray,
     ):
         self.cell = cell
-        self.slope = slope
-        self.q = np.log(slope)
         self.unit = cell.box.unit(keys)
-        self.walkers = family.walkers(keys)
+        walkers = family.walkers(keys)
+        self.problem = Lanes(walkers, cell.structure, family.drive)
+        # In the units of each line.
+        drive = values / np.reshape(family.drive.unit(walkers), (-1, 1))
+        shape = (len(keys), len(values))
+        self.drive = np.broadcast_to(drive, shape)
+        self.q = np.broadcast_to(np.log(drive), shape)
 
     def on(self, patch: Patch) -> np.ndarray:
         """Return the indices of the points between the ends of a patch."""
@@ -188,7 +196,9 @@ class Lines:
 
     def survey(self, keys: np.ndarray, structure: Structure) -> None:
         """Survey lines at values of the keys (n, d)."""
-        surveyed = survey_lines(Lanes(self.family.walkers(keys), structure), COARSE)
+        walkers = self.family.walkers(keys)
+        lines = Lanes(walkers, structure, self.family.drive)
+        surveyed = survey_lines(lines, COARSE)
         self.keys = np.vstack([self.keys, keys])
         self.structures += [structure] * len(keys)
         self.pieces += [pieces_of(branches) for branches in surveyed]
@@ -286,9 +296,11 @@ class _Maker(Maker):
         Others have them at slopes of the order of that at which the still walker, legs
         together, is balanced.
         """
+        middle = self.problem(np.zeros((1, self.d))).walker
+        gentlest = self.family.drive.like_slope(middle, float(np.exp(self.window[0])))
         for axis in range(self.d):
             tuning = Tuning(self.family, self.box, axis)
-            if tuning.largest < _BALANCED * np.exp(self.window[0]):
+            if tuning.largest < _BALANCED * gentlest:
                 continue
             low = self.box.low[axis]
             high = self.box.high[axis]
@@ -371,10 +383,12 @@ class _Maker(Maker):
         """The lower (0) or upper (1) end of a piece, of which lines have it at ln slopes
         q (n,).
         """
+        if all(piece.vanishes(k) for piece in group):
+            return self.small_steps(group, k)
         # Near vanishing steps the slope is a smooth function of angle over rate, on
         # whose square the angle depends.
         rate = max(piece.rate_beside(k) for piece in group)
-        vanishing = 2 * float(np.log(rate)) if rate > _FAST else 0.0
+        vanishing = 2 * float(np.log(rate)) if rate > FAST else 0.0
         kinds, number = np.unique(
             [piece.kinds[k] for piece in group], return_inverse=True
         )
@@ -387,6 +401,19 @@ class _Maker(Maker):
             return self.event(q, (-1, 1)[k], vanishing)
         why = f"a piece ends at {' or '.join(kinds)}"
         raise Refused(why, self.rougher(number.astype(float)))
+
+    def small_steps(self, group: list[Piece], k: int) -> _End:
+        """An end at steps of a small angle, nearly where they vanish."""
+        known = np.column_stack([piece.small_step(k, _SMALL) for piece in group])
+        unit = self.unit[: self.few]
+        points = make_ends(self, "small_step", unit, known, self.total, _SMALL)
+        slope = replace(
+            points,
+            coefficients=points.coefficients[:, -1:],
+            error=max(points.error, _BEFORE_VANISHING * math.exp(2 * _SMALL)),
+        )
+        angles = group[0].branch.Z[0, group[0].first : group[0].last + 1]
+        return _End(END, slope, vanishing=2 * (float(angles.max()) - _SMALL))
 
     def located_end(
         self,
@@ -593,7 +620,7 @@ class _Way:
         problem = self.maker.problem(points[:, 1:])
         q = self.span.log_slope(points)
         w, converged = newton(problem, guess, q, enough=_ENOUGH)
-        off = np.abs(w - guess) / np.maximum(1.0, np.abs(guess) / _FAST)
+        off = np.abs(w - guess) / np.maximum(1.0, np.abs(guess) / FAST)
         fair = converged & (off.max(axis=0) < _MAX_STRIDE_ERROR)
         fair &= side_of_fold(problem.stride(w, q)[0]) == self.side
         return w, fair

@@ -1,4 +1,4 @@
-"""A walker with free keys."""
+"""A walker with free keys, and what drives it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gaitsweep.tasks.step.drive import OVER_SLOPE, Drive
 from gaitsweep.tasks.walkers.resolve import resolve_many
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
@@ -16,21 +17,31 @@ from gaitsweep.tasks.walkers.walker_array import WalkerArray
 @dataclass(frozen=True)
 class Family:
     """A walker with free keys: its name or table and the keys that have one value, as
-    JSON, and the free ones.
+    JSON, and the free ones; and what its gaits are followed over.
     """
 
     text: str
     keys: tuple[str, ...]
+    drive: Drive = OVER_SLOPE
 
     @classmethod
-    def of(cls, line: Mapping[str, Any], keys: Iterable[str]) -> Family:
-        """Return the family of a line with some keys free."""
+    def of(
+        cls, line: Mapping[str, Any], keys: Iterable[str], along: str = ""
+    ) -> Family:
+        """Return the family of a line with some keys free, over slopes or `along`
+        another key that drives at the line's slope.
+        """
         fixed = {
             key: value
             for key, value in (line.get("set") or {}).items()
             if key not in set(keys)
         }
-        return cls(json.dumps([line["walker"], fixed], sort_keys=True), tuple(keys))
+        drive = OVER_SLOPE
+        if along:
+            drive = Drive(along, float(line["slope"]))
+            fixed[along] = 0.0
+        text = json.dumps([line["walker"], fixed], sort_keys=True)
+        return cls(text, tuple(keys), drive)
 
     def walkers(self, points: np.ndarray) -> WalkerArray:
         """Return the walkers at values of the free keys.

@@ -43,7 +43,7 @@ class Maker:
         unit : ndarray, shape (n, d)
             Coordinates of keys.
         """
-        return Lanes(self.walkers(unit), self.structure)
+        return Lanes(self.walkers(unit), self.structure, self.family.drive)
 
     def walkers(self, unit: np.ndarray) -> WalkerArray:
         """Return walkers.

@@ -65,6 +65,7 @@ def make_ends(
     unit: np.ndarray,
     Z: np.ndarray,
     total: int,
+    target: float = 0.0,
 ) -> Chart:
     """Return the chart of the special points of a kind through some of them over the
     whole box.
@@ -79,13 +80,15 @@ def make_ends(
     Z : ndarray, shape (c, 1 + 2^d)
     total : int
         Nodes from which on no more are added.
+    target : float
+        The value that the scalar of the kind's condition has.
 
     Raises
     ------
     Refused
         If they are not smooth enough, or do not extend over the box.
     """
-    extension = Extension(maker, kind, 0.0, unit[0], Z[:, 0])
+    extension = Extension(maker, kind, target, unit[0], Z[:, 0])
     region = Region.whole(maker.d)
     rows = extension.gradient(maker.problem(unit), Z)
     between = Chart.of_corners(unit, np.vstack([Z, rows]))

@@ -17,6 +17,9 @@ from gaitsweep.tasks.gaits.polish import Guesses
 _REACH = 1.0
 #: Places along pieces at which they are compared.
 _SHARES = np.array([0.15, 0.5, 0.85])
+#: Norm of rates over angle at an end from which on steps nearly vanish there, but not
+#: their rates [sqrt(g/leg)].
+FAST = 4.0
 #: Distance of two pieces of neighbouring lines that do not continue each other.
 _FAR = 1e6
 
@@ -91,6 +94,33 @@ class Piece:
             nodes = nodes[:, ::-1]
         half = nodes[:, : nodes.shape[1] // 2 + 1]
         return float(rate_of_steps(half, self.branch.m, self.branch.steps).max())
+
+    def vanishes(self, k: int) -> bool:
+        """Return whether steps vanish at the lower (0) or upper (1) end, and their rates
+        with them: at a finite drive, whose distance from there grows as the square of
+        their angle.
+        """
+        return self.kinds[k] == "end_zero_step" and self.rate_beside(k) < FAST
+
+    @property
+    def vanishing(self) -> tuple[float, float]:
+        """By how much the logarithm of the distance in ln drive from its lower and upper
+        end grows along it, where steps vanish there with their rates; 0 elsewhere.
+        """
+        angle = self.branch.Z[0, self.first : self.last + 1]
+        depth = 2 * float(np.ptp(angle))
+        return depth * self.vanishes(0), depth * self.vanishes(1)
+
+    def small_step(self, k: int, log_angle: float) -> np.ndarray:
+        """Return a point (c,) near the steps of a small angle on their way to vanishing
+        at the lower (0) or upper (1) end: but for their angle such steps are alike.
+        """
+        nodes = self.branch.Z[:, self.first : self.last + 1]
+        half = np.abs(nodes[-1] - self.q[k]) <= 0.5 * (self.q[1] - self.q[0])
+        near = np.where(half, np.abs(nodes[0] - log_angle), np.inf)
+        Z = nodes[:, int(near.argmin())].copy()
+        Z[0] = log_angle
+        return Z
 
     def end_point(self, k: int) -> np.ndarray:
         """Return its point (c,) at the lower (0) or upper (1) end."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -111,9 +112,10 @@ class Span:
         ends: np.ndarray,
         keys: int,
         folds: tuple[bool, bool] = (False, False),
+        vanishing: tuple[float, float] = (0.0, 0.0),
     ) -> Span:
         """Return the span between two ln slopes (2,), whatever the keys."""
-        return cls(Chart((1,) * keys, ends[None]), folds)
+        return cls(Chart((1,) * keys, ends[None]), folds, vanishing)
 
     def log_slope(self, points: np.ndarray) -> np.ndarray:
         """Return the ln slopes (n,) of points (n, 1 + d)."""
@@ -184,6 +186,22 @@ class Span:
         angle[0] = 0.4 * angle[0] + 0.3
         angle[-1] = nodes - 0.3 + 0.4 * (angle[-1] - nodes)
         return -np.cos(np.pi * angle / nodes)[:, None]
+
+    def toward_vanishing(self, widest: float, farthest: float) -> Iterator[Span]:
+        """Yield parts in each of which the logarithm of the distance from vanishing
+        steps changes at most by `widest`, and in all by about `farthest`; the span
+        itself where steps do not vanish.
+        """
+        depth = max(self.vanishing)
+        if not depth:
+            yield self
+            return
+        n = math.ceil(min(depth, farthest) / widest)
+        edges = np.minimum(1.0, np.arange(n + 1) * widest / depth).tolist()
+        for k in range(n):
+            near, far = edges[k + 1], edges[k]
+            part = (1 - near, 1 - far) if self.vanishing[0] else (far, near)
+            yield replace(self, part=part)
 
     def halves(self) -> Iterator[Span]:
         """Yield both halves, unless they are too narrow."""

@@ -70,18 +70,18 @@ TASKS = {
         Task(
             "points",
             "gaitsweep.tasks.studies.solve_points:points",
-            30,
+            31,
             needs=("atlas",),
         ),
         Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 3),
-        Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 11),
+        Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 12),
         Task(
             "trace", "gaitsweep.tasks.studies.trace_motion:trace", 7, needs=("atlas",)
         ),
         Task(
             "branch",
             "gaitsweep.tasks.studies.follow_branches:branch",
-            26,
+            27,
             needs=("atlas",),
         ),
         Task(

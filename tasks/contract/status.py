@@ -106,8 +106,9 @@ def over(gait: str, values: np.ndarray, key: str = "slope") -> str:
     )
 
 
-def absent(label: str, where: str) -> str:
-    """Say that a family of walkers has no gait of a label at some keys and slope.
+def absent(label: str, where: str, drive: str = "slope") -> str:
+    """Say that a family of walkers has no gait of a label at some keys and slope, or
+    value of another drive.
 
     Parameters
     ----------
@@ -115,8 +116,11 @@ def absent(label: str, where: str) -> str:
         `long` or `short`.
     where : str
         The cell of keys over which its branches were interpolated, in words.
+    drive : str
+        The name of what drives.
     """
-    return f"No {label} gait at this slope: no branch found over {where} has one here."
+    found = f"no branch found over {where} has one here"
+    return f"No {label} gait at this {drive}: {found}."
 
 
 def unreached(

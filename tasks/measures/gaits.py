@@ -353,7 +353,14 @@ def _described_by_drive(
     want: Sequence[str],
     limits: Mapping[str, float] | None,
 ) -> Arrays:
-    """Variables of gaits as `describe` has them, of a walker at values of its drive."""
+    """Variables of gaits as `describe` has them, of the walkers that values of the drive
+    make: side by side, or each by itself where that cannot be.
+    """
+    groups = {VARIABLES[name].group for name in want}
+    if problem.steps == 1 and "violations" not in groups:
+        lanes, slope = problem.lanes_at(drive)
+        return describe(lanes, at, slope, want, limits)
+
     parts, places = [], []
     for some, driven, slope in problem.at_slopes(drive):
         parts.append(describe(driven, lanes_of(at, some), slope, want, limits))

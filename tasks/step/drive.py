@@ -9,13 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
 from gaitsweep.tasks.contract.registry import SLOPES
-from gaitsweep.tasks.mechanics.lumped import Structure, lump, structure_of
-from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.mechanics.lumped import (
+    Structure,
+    common_structure,
+    constants_of,
+    general_structure_of,
+    lump,
+    structure_of,
+)
+from gaitsweep.tasks.walkers.walker import KEYS, Walker
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 SLOPE, PUSH_OFF, HIP_TORQUE = "slope", "push_off", "hip_torque"
 #: Windows in which branches are followed: of slopes [rad], impulses [mass sqrt(g leg)],
@@ -54,13 +63,24 @@ class Drive:
         driven = walker.having(self.key, _ORDINARY * self.unit(walker))
         return replace(structure_of(driven), drive=self.key)
 
-    def unit(self, walker: Walker) -> float:
-        """Return the unit of the drive inside the solver, in the walker's units."""
+    def common_structure(self, walkers: WalkerArray) -> Structure:
+        """Return a structure for all of an array of walkers, differentiated by the
+        drive.
+        """
+        if self.key == SLOPE:
+            return common_structure(walkers)
+        drive = np.full(len(walkers), _ORDINARY)
+        return replace(common_structure(self.walkers(walkers, drive)), drive=self.key)
+
+    def unit(self, walker: Walker) -> Any:
+        """Return the unit of the drive inside the solver, in the walker's units; of an
+        array of walkers, that of each.
+        """
         if self.key == SLOPE:
             return 1.0
         if self.key == PUSH_OFF:
             return unit_of_impulse(walker)
-        return 1.0 / float(_lumped_torque(walker))
+        return 1.0 / _lumped_torque(walker)
 
     def of(self, walker: Walker) -> float:
         """Return the drive of a walker; 0 where it has none."""
@@ -75,6 +95,15 @@ class Drive:
         assert self.base is not None
         own = getattr(walker, self.key) if self.key == HIP_TORQUE else 0.0
         return walker.having(self.key, own + drive * self.unit(walker)), self.base
+
+    def walkers(self, walker: Walker, drive: ndarray) -> WalkerArray:
+        """Return the walkers that values of a drive other than the slope (n,) make of
+        one walker, or each of one of an array; a torque adds to their own.
+        """
+        own = getattr(walker, self.key) if self.key == HIP_TORQUE else 0.0
+        changes: dict[str, Any] = {self.key: own + drive * self.unit(walker)}
+        numbers = {name: getattr(walker, name) for name in KEYS}
+        return WalkerArray(**{**numbers, **changes})
 
     def slopes(self, drive: ndarray) -> ndarray:
         """Return the slopes at values of the drive.
@@ -160,15 +189,19 @@ class Drive:
 _LUMPED = {PUSH_OFF: "push", HIP_TORQUE: "hip_bias"}
 
 
-def _lumped_torque(walker: Walker) -> float:
-    """The lumped constant of a unit torque."""
+def _lumped_torque(walker: Walker) -> Any:
+    """The lumped constant of a unit torque; of an array of walkers, that of each."""
     alone = replace(walker, hip_torque=1.0, hip_rest=0.0)
-    return float(lump(alone)["hip_bias"])
+    if not isinstance(alone, WalkerArray):
+        return float(lump(alone)["hip_bias"])
+    structure = general_structure_of(alone)
+    constants = constants_of(alone, structure)
+    return constants[structure.constants.index("hip_bias")]
 
 
-def unit_of_impulse(walker: Walker) -> float:
+def unit_of_impulse(walker: Walker) -> Any:
     """Return the unit of impulses inside the solver, mass sqrt(g leg), in the walker's
-    units.
+    units; of an array of walkers, that of each.
     """
     return walker.total_mass * (walker.g * walker.leg) ** 0.5
 

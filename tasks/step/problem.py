@@ -106,6 +106,25 @@ class Problem:
             walker = self.driven_by(value)
             yield numbers, walker.over(over), np.full(len(numbers), counted)
 
+    def walkers_at(self, drive: np.ndarray) -> Walker:
+        """Return the walkers that values of the drive (n,) make, as an array; where the
+        slope drives, those of the lanes.
+        """
+        if self.drive.key == SLOPE:
+            return self.every_walker
+        return self.drive.walkers(self.every_walker, drive)
+
+    def lanes_at(self, drive: np.ndarray) -> tuple[Problem, np.ndarray]:
+        """Return the problem over slopes of the walkers that values of the drive (n,)
+        make, in a lane for each, and their slopes as it counts them.
+        """
+        if self.drive.key == SLOPE:
+            return self, drive
+        assert self.drive.base is not None
+        over, counted = over_slopes(self.drive.base)
+        walkers = self.drive.walkers(self.every_walker, drive)
+        return Lanes(walkers, self.structure, over), np.full(len(drive), counted)
+
     def over(self: AnyProblem, drive: Drive) -> AnyProblem:
         """Return the same walkers' problem, with slopes counted as a drive has them."""
         if drive == self.drive:

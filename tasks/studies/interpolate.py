@@ -6,6 +6,7 @@ A panel is a part of a piece of branches, so that its sheet is one over no keys.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -43,6 +44,9 @@ _NEAR_END = 1e-9
 _END_SAFETY = 8.0
 #: Widest range of ln slope of a panel; pieces of branches are cut at its multiples.
 _WIDTH = 1.0
+#: Widest range, in a panel, of the logarithm of the distance from where steps vanish,
+#: and how far that is followed: nearer, gaits are integrated.
+_VANISHING = 4.0, 8.0
 #: Samples of a panel at which rounding and Lipschitz constants are measured, where the
 #: atlas has none, and the factor on the largest of these constants.
 _MEASURED = 3
@@ -63,13 +67,13 @@ def _sampled(
     """What the gaits of several spans, as many of each, give; `fine`, shape (n,), may
     be used.
     """
-    slope = solved.guesses.slope
+    drive = solved.guesses.slope
     gaits = solved.gaits
-    values, size = smooth.columns(slope, gaits, solved.at.stride.jacobian)
+    values, size = smooth.columns(drive, gaits, solved.at.stride.jacobian)
     found = np.isin(gaits["status"], status.SOLVED) & fine
     found &= np.isfinite(values).all(axis=0)
 
-    for own in np.split(np.arange(len(slope)), spans):
+    for own in np.split(np.arange(len(drive)), spans):
         passes = gaits["passes"][own]
         alike = bool((found[own] & (passes == passes[0])).all())
         bound = float(gaits["error_bound"][own].max()) if alike else np.inf
@@ -79,12 +83,13 @@ def _sampled(
 @dataclass(frozen=True)
 class _Places:
     """Points of a study on the span of a sheet: their `index`, the `points` of the span
-    (n, 1 + d), their slopes, and the pair of numbers of branch and piece.
+    (n, 1 + d), their slopes or other drives, and the pair of numbers of branch and
+    piece.
     """
 
     index: np.ndarray
     points: np.ndarray
-    slope: np.ndarray
+    drive: np.ndarray
     numbers: Any
 
     def gaits(
@@ -118,7 +123,7 @@ class _Places:
             margin = np.abs(columns["spectral_radius"] - 1)
             uncertain |= margin <= columns["multiplier_error_bound"]
         lost[self.index[uncertain]] = True
-        solved = smooth.gaits(self.slope, columns, chart.error, self.numbers)
+        solved = smooth.gaits(self.drive, columns, chart.error, self.numbers)
         return Part(self.index, columns["stance_angle"], ratios, solved)
 
 
@@ -151,6 +156,7 @@ def panels_over(
     folds: tuple[bool, bool],
     log_slope: np.ndarray,
     nodes: int,
+    vanishing: tuple[float, float] = (0.0, 0.0),
 ) -> list[Asked]:
     """Ask for sheets over the widest panels of a piece that hold some slopes.
 
@@ -166,17 +172,39 @@ def panels_over(
     nodes : int
         Those of each panel: where they do not suffice it is halved.
     """
-    cuts = np.arange(np.floor(low / _WIDTH) + 1, np.ceil(high / _WIDTH)) * _WIDTH
-    edges = np.concatenate([[low], cuts, [high]])
+    edges = _edges(low, high, vanishing)
     last = len(edges) - 2
     inside = np.searchsorted(edges, log_slope, side="right") - 1
 
     panels = []
     for k in np.unique(np.clip(inside, 0, last)).tolist():
-        at_folds = folds[0] and k == 0, folds[1] and k == last
-        span = Span.between(edges[k : k + 2], 0, at_folds)
-        panels.append(Asked(piece, span, (nodes,), (nodes,)))
+        at_ends = k == 0, k == last
+        at_folds = at_ends[0] and folds[0], at_ends[1] and folds[1]
+        share = (edges[k + 1] - edges[k]) / (high - low)
+        depths = (
+            _depth(vanishing[0], at_ends[0], share),
+            _depth(vanishing[1], at_ends[1], share),
+        )
+        span = Span.between(edges[k : k + 2], 0, at_folds, depths)
+        for part in span.toward_vanishing(*_VANISHING):
+            panels.append(Asked(piece, part, (nodes,), (nodes,)))
     return panels
+
+
+def _edges(low: float, high: float, vanishing: tuple[float, float]) -> np.ndarray:
+    """Ln slopes at which panels of a piece begin and end, rising."""
+    cuts = np.arange(np.floor(low / _WIDTH) + 1, np.ceil(high / _WIDTH)) * _WIDTH
+    # Beside vanishing steps a narrow panel would not shield the next from them.
+    least = [0.5 * _WIDTH if depth else 0.0 for depth in vanishing]
+    cuts = cuts[(cuts > low + least[0]) & (cuts < high - least[1])]
+    return np.concatenate([[low], cuts, [high]])
+
+
+def _depth(depth: float, is_there: bool, share: float) -> float:
+    """By how much the logarithm of the distance from vanishing steps grows over a share
+    of a piece beside them, over all of which it grows by a `depth`.
+    """
+    return max(0.0, depth + math.log(share)) if is_there and depth else 0.0
 
 
 def fit_panels(
@@ -219,7 +247,8 @@ def fit_panels(
     panels: list[Asked] = []
     for k, piece in enumerate(pieces):
         covered = q[piece.covered(q)]
-        panels += panels_over(k, *piece.q, piece.folds, covered, nodes)
+        over = panels_over(k, *piece.q, piece.folds, covered, nodes, piece.vanishing)
+        panels += [panel for panel in over if is_needed(panel.span)]
     sheets: list[list[Sheet]] = [[] for _ in pieces]
     for k, sheet in fit_sheets(panels, solve, good, is_needed, by_value):
         sheets[k].append(sheet)
@@ -276,7 +305,7 @@ class Interpolation:
     ):
         self.problem = problem
         self.wanted = wanted
-        self.smooth = Smooth.of(problem.walker, wanted.names, problem.m)
+        self.smooth = Smooth.of(problem, wanted.names)
         self.pieces = pieces_of(branches)
         self.sheets = fit_panels(
             self.pieces,
@@ -463,13 +492,13 @@ def _over(
     unit = points[:, 1:]
     q = span.log_slope(points)
     walkers = family.walkers(cell.box.at(unit))
-    problem = Lanes(walkers, cell.structure)
+    problem = Lanes(walkers, cell.structure, family.drive)
     to_accuracy = partial(settle, sampled=True, accuracy=wanted.accuracy)
     guesses = patch.guesses(unit, np.exp(q))
     solved = solve_guesses(problem, [guesses], to_accuracy, wanted)
 
     fine, is_step = patch.judge(solved.at, guesses.w, q, unit)
-    smooth = Smooth.of(walkers, wanted.names, problem.m)
+    smooth = Smooth.of(problem, wanted.names)
     (sampled,) = _sampled(solved, smooth, fine & is_step, 1)
     return sampled
 
@@ -496,7 +525,7 @@ def interpolate(
         Points whose labels and stability do not depend on errors, all of which are
         known; the others are to be integrated.
     """
-    n = len(block.unit) * len(block.slope)
+    n = block.q.size
     given = []
     lost = np.zeros(n, bool)
     for sheet, patch in zip(made, block.cell.patches, strict=True):
@@ -525,16 +554,14 @@ def _of_patch(
     if sheet.passes != 1 or not len(index):
         return None
 
-    line, own = np.divmod(index, len(block.slope))
-    points = sheet.span.points(block.q[own], block.unit[line])
+    line, own = np.divmod(index, block.q.shape[1])
+    points = sheet.span.points(block.q[line, own], block.unit[line])
     known = sheet.is_measured(points)
     lost[index[~known]] = True
     line = line[known]
     index = index[known]
 
-    walkers = block.walkers.some(line)
-    dimension = block.cell.structure.dimension
-    smooth = Smooth.of(walkers, wanted.names, dimension)
+    smooth = Smooth.of(block.problem.some(line), wanted.names)
     numbers = patch.numbers_at(block.unit[line]).T
-    places = _Places(index, points[known], block.slope[own[known]], numbers)
+    places = _Places(index, points[known], block.drive[line, own[known]], numbers)
     return places.gaits(sheet.chart, smooth, lost)

@@ -210,7 +210,8 @@ def _gaits_over_plane(
     if request and possible:  # invalid designs are not solved
         lines = [designs.line_of(i) for i in possible]
         (slope,) = request.slope
-        charts = make_charts(lines[0], plane, request.wanted, (slope, slope), 1)
+        family = Family.of(lines[0], plane.keys)
+        charts = make_charts(family, plane, request.wanted, (slope, slope), 1)
         gaits[:, possible] = _long(solve_plane(lines, plane, request, [charts]))
     return gaits
 

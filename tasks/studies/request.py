@@ -27,6 +27,9 @@ class Request:
         Whether polynomials give the gaits where they reach the accuracy.
     charted : bool
         Whether polynomials give the derivatives of gaits where they suffice.
+    along : str
+        The key that drives at the lines' slopes and has the values in place of slopes,
+        in the walker's units; empty if these do.
     """
 
     slope: np.ndarray
@@ -34,6 +37,7 @@ class Request:
     steps: int = 1
     interpolated: bool = False
     charted: bool = False
+    along: str = ""
 
     @property
     def is_converted(self) -> bool:
@@ -43,7 +47,13 @@ class Request:
     @property
     def key(self) -> tuple[Any, ...]:
         """What tells requests apart."""
-        kind = repr(self.wanted), self.steps, self.interpolated, self.charted
+        kind = (
+            repr(self.wanted),
+            self.steps,
+            self.interpolated,
+            self.charted,
+            self.along,
+        )
         return self.slope.tobytes(), *kind
 
     @classmethod
@@ -57,4 +67,5 @@ class Request:
             steps=int(params.get("steps", 1)),
             interpolated=bool(params.get("interpolated", False)),
             charted=bool(params.get("charted", False)),
+            along=str(params.get("along", "")),
         )

@@ -33,14 +33,15 @@ from gaitsweep.tasks.measures.gaits import (
     store,
     to_accuracy,
 )
+from gaitsweep.tasks.step.drive import SLOPE
 from gaitsweep.tasks.step.lanes import lanes_of
-from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.studies.interpolate import interpolate, sheets
 from gaitsweep.tasks.studies.request import Request
 from gaitsweep.tasks.studies.solve_guesses import Solved, block_size, solve_guesses
 from gaitsweep.tasks.studies.solve_points import in_units_of, solve_lines
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.scaling import plain_line, scaling
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Smallest error assumed for the ends of pieces, in ln slope.
 _MIN_END_ERROR = 1e-9
@@ -136,11 +137,12 @@ def charts(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     wanted = Wanted.of(params)
     window = params["slope_from"], params["slope_to"]
     many = math.inf if params.get("whole") else _MANY_LINES
-    return make_charts(params["line"], plane, wanted, window, params["slopes"], many)
+    family = Family.of(params["line"], plane.keys, params.get("along", ""))
+    return make_charts(family, plane, wanted, window, params["slopes"], many)
 
 
 def make_charts(
-    line: Mapping[str, Any],
+    family: Family,
     plane: Plane,
     wanted: Wanted,
     window: tuple[float, float],
@@ -151,13 +153,14 @@ def make_charts(
 
     Parameters
     ----------
-    line : mapping
-        One of the plane.
+    family : Family
+        Of a line of the plane.
     plane : Plane
     wanted : Wanted
         Variables and accuracy.
     window : (float, float)
-        Least and largest slope [rad].
+        Least and largest slope [rad], or value of what else drives, in the walker's
+        units.
     slopes : int
         About how many there are.
     many : float
@@ -168,8 +171,9 @@ def make_charts(
     dict
         As `charts` has it.
     """
-    family = Family.of(line, plane.keys)
-    low, high = np.log(window).tolist()
+    units = family.drive.unit(family.walkers(plane.box.at(plane.box.corners(1.0))))
+    low = float(np.log(window[0] / np.max(units)))
+    high = float(np.log(window[1] / np.min(units)))
     cells = make_cells(
         family,
         plane.box,
@@ -263,7 +267,7 @@ def solve_plane(
     out, accepted = _by_charts(lines, plane, request, charts)
     to_accuracy(_joined(out), request.wanted.accuracy)
 
-    reasons = _reasons(plane.box)
+    reasons = _reasons(plane.box, request.along or SLOPE)
     sentences = dict[str, int]()
     for numbers, at in _not_accepted(accepted):
         out["reason"] = out["reason"].astype(np.int32)
@@ -322,14 +326,16 @@ def _by_charts(
     are accepted, (n, s). Lines that differ only in their units are solved once.
     """
     first = lines[0]
-    scales = scaling(walker_of_line(first), first) if request.is_converted else ()
+    scales: tuple[str, ...] = ()
+    if request.is_converted and not request.along:
+        scales = scaling(walker_of_line(first), first)
     varied = (*plane.keys, *scales)
     values = np.array([[line["set"][key] for key in varied] for line in lines])
     d = len(plane.keys)
     keys, which = np.unique(values[:, :d], axis=0, return_inverse=True)
     which = which.ravel()
 
-    family = Family.of(plain_line(first, scales), plane.keys)
+    family = Family.of(plain_line(first, scales), plane.keys, request.along)
     out, accepted = _at_keys(family, keys, plane.box, request, charts)
     out = {name: of_line[which] for name, of_line in out.items()}
     if scales:
@@ -369,21 +375,34 @@ def _at_keys(
     corners = family.walkers(np.array([box.low, box.high]))
     n = len(keys)
     s = len(request.slope)
-    # A massless leg's steps are the limit of those of light ones; its losses have
-    # formulas of their own.
-    is_alike = walkers.massless_legs == corners.massless_leg
+    leads = np.flatnonzero(request.slope > 0)
+    is_alike = _are_alike(walkers, corners)
 
     accepted = np.zeros((n, s), bool)
     out = _by_line(nothing_solved(request.wanted.names, n * s, walkers.knees), n)
     for cell, made in _cells(family, charts):
         inside = np.flatnonzero(_inside(cell.box, keys, box) & is_alike)
         if not cell.why and len(inside):
-            solved, accepted[inside] = solve(
-                family, cell, keys[inside], request.slope, request.wanted, made
+            values = request.slope[leads]
+            at = np.ix_(inside, leads)
+            solved, accepted[at] = solve(
+                family, cell, keys[inside], values, request.wanted, made
             )
             for name, value in solved.items():
-                out[name][inside] = value
+                out[name][at] = value
     return out, accepted
+
+
+def _are_alike(walkers: WalkerArray, corners: WalkerArray) -> np.ndarray:
+    """Whether each of some walkers (n,) has the variables that most of a box have, whose
+    corners are others.
+
+    A massless leg's steps are the limit of those of light ones; its losses have formulas
+    of their own. What drives no walker leaves variables out.
+    """
+    acting = corners.acting.any(axis=1, keepdims=True)
+    is_driven_alike = (walkers.acting == acting).all(axis=0)
+    return np.asarray((walkers.massless_legs == corners.massless_leg) & is_driven_alike)
 
 
 def _cells(
@@ -413,11 +432,11 @@ def _inside(
     )
 
 
-def _reasons(box: Box) -> list[str]:
-    """Sentences that `reason` indexes."""
+def _reasons(box: Box, drive: str) -> list[str]:
+    """Sentences that `reason` indexes, of gaits over what drives."""
     sides = zip(box.keys, box.low, box.high, strict=True)
     where = ", ".join(f"{key} from {low:.6g} to {high:.6g}" for key, low, high in sides)
-    return status.reasons(*(status.absent(label, where) for label in GAITS[:2]))
+    return status.reasons(*(status.absent(label, where, drive) for label in GAITS[:2]))
 
 
 def solve(
@@ -437,7 +456,8 @@ def solve(
     keys : ndarray, shape (n, d)
         Values of the free keys of n lines.
     slope : ndarray, shape (s,) [rad]
-        Within the range of the cell.
+        Or values of what else drives, in the walker's units, within the range of the
+        cell.
     wanted : Wanted
     made : sequence of Sheet
         Polynomials that give the gaits to an accuracy; where there are none the gaits
@@ -474,7 +494,7 @@ def _away_from_ends(block: Block) -> np.ndarray:
     """Whether points are farther from the ends of pieces than their errors, shape (n
     s,).
     """
-    away = np.ones((len(block.unit), len(block.slope)), bool)
+    away = np.ones(block.q.shape, bool)
     for patch in block.cell.patches:
         ends = patch.span.ends(block.unit)
         for end, error, kind in zip(ends, patch.end_errors, patch.kinds, strict=True):
@@ -488,7 +508,7 @@ def _known_to_end(block: Block) -> np.ndarray:
     """Whether points beyond the ends of walking have no gait: the equations' solutions
     at these ends are none.
     """
-    known = np.ones((len(block.unit), len(block.slope)), bool)
+    known = np.ones(block.q.shape, bool)
     for patch in block.cell.patches:
         ends = patch.span.ends(block.unit)
         for side, end, kind in zip((-1, 1), ends, patch.kinds, strict=True):
@@ -510,7 +530,7 @@ def _may_walk(
     """Whether gaits of some lines, (k,), at an end of a patch may be steps, bool (k,)."""
     unit = block.unit[lines]
     points = np.column_stack([np.full(len(lines), float(side)), unit])
-    problem = Lanes(block.walkers.some(lines), block.cell.structure)
+    problem = block.problem.some(lines)
     _, check = verify_steps(problem, patch.gaits(points), q)
     return np.asarray(check.step | check.doubt)
 
@@ -535,10 +555,10 @@ class _Predicted:
         index: np.ndarray,
     ) -> _Predicted:
         """Predict points of a block."""
-        line, slope = np.divmod(index, len(block.slope))
+        line, at = np.divmod(index, block.q.shape[1])
         unit = block.unit[line]
-        guesses = patch.guesses(unit, block.slope[slope])
-        return cls(patch, index, unit, block.q[slope], guesses)
+        guesses = patch.guesses(unit, block.drive[line, at])
+        return cls(patch, index, unit, block.q[line, at], guesses)
 
 
 def _solve_block(
@@ -583,15 +603,13 @@ def _solve_predicted(
     block: Block, predicted: Sequence[_Predicted], wanted: Wanted
 ) -> Solved:
     """The gaits of points that are predicted."""
-    lines = np.concatenate([on_patch.index for on_patch in predicted]) // len(
-        block.slope
-    )
-    problem = Lanes(block.walkers.some(lines), block.cell.structure)
+    index = np.concatenate([on_patch.index for on_patch in predicted])
+    problem = block.problem.some(index // block.q.shape[1])
     # Violations and derivatives are measured walker by walker.
     alone = []
     groups = {VARIABLES[name].group for name in wanted.names}
     if groups & {"violations", SENSITIVITIES}:
-        alone = [(problem.alone(lane), 1) for lane in range(len(lines))]
+        alone = [(problem.alone(lane), 1) for lane in range(len(index))]
     to_accuracy = partial(settle, sampled=True, accuracy=wanted.accuracy)
     guesses = [on_patch.guesses for on_patch in predicted]
     return solve_guesses(problem, guesses, to_accuracy, wanted, alone)

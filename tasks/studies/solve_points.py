@@ -81,7 +81,7 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     params : mapping
         `line`: `{"walker": name or table, "set": {key: value}}`; `coarse`: whether for
         few points; `steps` after which the gaits repeat (1 if omitted); `along`, the
-        key over which gaits are followed at the line's slope, if not over slopes;
+        key over which gaits are followed at the line's `slope`, if not over slopes;
         `level`, whether no slope leads down, so that none of its branches is asked for.
     inputs : list
         Empty.
@@ -112,11 +112,12 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `line`; `slope`, ndarray, shape (n,) [rad]; `want`, names of variables; `gaits`,
-        labels wanted; `violation_limits`, those of violations that are not the
-        registry's; `steps` after which the gaits repeat; `accuracy`, the largest error
-        bound wanted, 0 for as good a one as doubles give; `interpolated`, whether
-        polynomials give the points where they reach it.
+        `line`; `slope`, ndarray, shape (n,) [rad], or values of a key, `along`, that
+        drives at the line's `slope`; `want`, names of variables; `gaits`, labels wanted;
+        `violation_limits`, those of violations that are not the registry's; `steps`
+        after which the gaits repeat; `accuracy`, the largest error bound wanted, 0 for
+        as good a one as doubles give; `interpolated`, whether polynomials give the
+        points where they reach it.
     inputs : list
         The line's atlas, of the same `steps`.
 
@@ -150,6 +151,8 @@ def solve_line(
         As `points` has it.
     """
     walker = walker_of_line(line)
+    if request.along:
+        return _solve_along(line, branches, request)
     is_level = request.slope <= 0
     if is_level.any():
         return _on_any_ground(line, walker, branches, request, is_level)
@@ -159,7 +162,18 @@ def solve_line(
         own = _solve_on(plain, branches, request)
         return _converted(own, walker, plain)
 
-    problem = Problem(walker, request.steps)
+    return _solve_alone(Problem(walker, request.steps), line, branches, request)
+
+
+def _solve_alone(
+    problem: Problem,
+    line: Mapping[str, Any],
+    branches: list[Branch],
+    request: Request,
+) -> Arrays:
+    """Gaits of one line at values of the drive of its problem, by polynomials where
+    these are wanted.
+    """
     polynomials = None
     if request.interpolated:
         polynomials = Interpolation(problem, branches, request.wanted, request.slope)
@@ -173,6 +187,30 @@ def solve_line(
     return solved
 
 
+def _solve_along(
+    line: Mapping[str, Any], branches: list[Branch], request: Request
+) -> Arrays:
+    """Gaits of a line at values of a key that drives at its slope, on its branches over
+    that; where the key does not drive, whatever else does.
+    """
+    along, values = {"along": request.along}, request.slope
+    problem, unit = followed_over({"line": line, **along}, request.steps)
+    drives = values > 0
+    parts = []
+    if drives.any():
+        own = replace(request, slope=values[drives] / unit)
+        solved = _solve_alone(problem, line, branches, own)
+        parts.append((np.flatnonzero(drives), solved))
+
+    slope = float(line["slope"])
+    for place in np.flatnonzero(~drives):
+        keys = {**(line.get("set") or {}), request.along: float(values[place])}
+        other = {**line, "set": keys}
+        solved = _solve_driven(other, walker_of_line(other), slope, request)
+        parts.append((np.array([place]), solved))
+    return _side_by_side(len(values), parts)
+
+
 def _on_any_ground(
     line: Mapping[str, Any],
     walker: Walker,
@@ -183,7 +221,7 @@ def _on_any_ground(
     """Gaits of a line at slopes of which some are level, or lead uphill."""
     parts = []
     if not is_level.all():
-        down = replace(request, slope=request.slope[~is_level], interpolated=False)
+        down = replace(request, slope=request.slope[~is_level])
         parts.append((np.flatnonzero(~is_level), solve_line(line, branches, down)))
     for place in np.flatnonzero(is_level):
         slope = float(request.slope[place])
@@ -216,7 +254,13 @@ def _solve_driven(
     problem, drive = driven(walker, slope, request.steps)
     if not drive:
         return _undriven(walker, slope, request)
-    here = replace(request, slope=np.array([drive]), interpolated=False, charted=False)
+    here = replace(
+        request,
+        slope=np.array([drive]),
+        interpolated=False,
+        charted=False,
+        along="",
+    )
     (solved,) = _solve_branches(problem, [line], [branches_of(problem)], here)
     return solved
 
@@ -273,6 +317,8 @@ def solve_lines(
         For each line its branches, and what `points` returns.
     """
     walkers = [walker_of_line(line) for line in lines]
+    if request.along:
+        return _lines_along(lines, request)
     if (request.slope <= 0).any():
         return _lines_on_any_ground(lines, request)
     if request.is_converted:
@@ -289,6 +335,34 @@ def solve_lines(
         for i, branches, one in zip(numbers, surveyed, solved, strict=True):
             results[i] = branches, one
     return results
+
+
+def _lines_along(
+    lines: Sequence[Mapping[str, Any]], request: Request
+) -> list[tuple[list[Branch], Arrays]]:
+    """Survey lines over a key that drives at their slopes, and solve their gaits."""
+    alike: dict[Any, list[int]] = {}
+    walkers = []
+    for i, line in enumerate(lines):
+        problem, _ = followed_over({"line": line, "along": request.along})
+        # Where gaits are searched for must not depend on the other lines.
+        anchors = atlases.driven_anchors(problem.drive, problem.walker)
+        kind = problem.structure, problem.drive, anchors
+        alike.setdefault(kind, []).append(i)
+        walkers.append(problem.walker)
+
+    atlas: list[list[Branch]] = [[] for _ in lines]
+    if not (request.slope > 0).any():
+        alike.clear()
+    for (structure, drive, _), numbers in alike.items():
+        some = Lanes([walkers[i] for i in numbers], structure, drive)
+        surveyed = atlases.survey_lines(some, COARSE)
+        for i, branches in zip(numbers, surveyed, strict=True):
+            atlas[i] = branches
+    return [
+        (branches, solve_line(line, branches, request))
+        for line, branches in zip(lines, atlas, strict=True)
+    ]
 
 
 def _lines_on_any_ground(
@@ -480,7 +554,7 @@ def _solve_branches(
 
     if len(names) < len(void):
         for line, out in zip(lines, results, strict=True):
-            _prove(out, line, problem.slopes(request.slope))
+            _prove(out, line, problem, request)
     return [
         _answer(problem.alone(i), branches, wanted, out)
         for i, (branches, out) in enumerate(zip(atlas, results, strict=True))
@@ -598,22 +672,28 @@ def _outside(problem: Problem, branches: list[Branch]) -> str:
 def _prove(
     out: Arrays,
     line: Mapping[str, Any],
-    slope: np.ndarray,
+    problem: Problem,
+    request: Request,
 ) -> None:
     """Prove every converged gait of `out`, rows (n, len(GAITS)); each takes a second or
     so.
     """
     from gaitsweep.tasks.proofs.records import prove_stored  # needs the extra `proof`
 
+    slope = problem.slopes(request.slope)
     for i, g in np.argwhere(np.isin(out["status"], status.SOLVED)).tolist():
-        request = {
+        keys = {**(line.get("set") or {})}
+        if request.along:
+            walker, _ = problem.drive.at(problem.walker, float(request.slope[i]))
+            keys[request.along] = getattr(walker, request.along)
+        asked = {
             "walker": line["walker"],
-            "set": line.get("set"),
+            "set": keys,
             "slope": float(slope[i]),
             "gait": GAITS[g],
         }
         values = {name: float(out[name][i, g]) for name in PROVED_FROM}
-        proof = prove_stored({**request, "accuracy": PROOF_ACCURACY, "values": values})
+        proof = prove_stored({**asked, "accuracy": PROOF_ACCURACY, "values": values})
         if "proved" in out:
             out["proved"][i, g] = PROVED["proved" if proof["proved"] else "not_proved"]
         if "proved_radius" in out and proof["proved"]:

@@ -8,7 +8,13 @@ from typing import Any
 from gaitsweep.tasks.walkers.resolve import moved_by, resolve, way
 from gaitsweep.tasks.walkers.scaling import scaling
 from gaitsweep.tasks.walkers.statics import CONDITIONED
-from gaitsweep.tasks.walkers.walker import DIFFERENTIATED, KEYS, OF_PASSIVE, ONE_LINK
+from gaitsweep.tasks.walkers.walker import (
+    DIFFERENTIATED,
+    KEYS,
+    OF_DRIVE,
+    OF_PASSIVE,
+    ONE_LINK,
+)
 
 
 def check(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -43,7 +49,6 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     given: Mapping[str, Any] = {} if isinstance(definition, str) else definition
     walker = resolve(definition, overrides)
     tuned = tuple(dict.fromkeys(given.get("tuned", ())))
-    smooth = (key for key in overrides if walker.is_passive and _is_smooth(key))
     properties = {
         "si": walker.si,
         "kneed": walker.knees,
@@ -57,7 +62,7 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "varied": _varied(definition, overrides, tuned),
         "tuned": tuned,
         "scaling": scaling(walker, {"walker": definition, "set": overrides}),
-        "smooth": tuple(smooth),
+        "smooth": tuple(key for key in overrides if _is_smooth(key)),
     }
 
     if {"detuning", "toward"} & {*overrides, *given}:
@@ -86,9 +91,9 @@ def _varied(
 
 
 def _is_smooth(key: str) -> bool:
-    """Whether gaits change smoothly with a key: a length, a mass, an angle, or what
-    moves several of these.
+    """Whether gaits change smoothly with a key: with lengths, masses, angles, shares,
+    and what drives.
     """
-    if key in ("foot_mass_ratio", "detuning"):
-        return True
-    return (KEYS | ONE_LINK).get(key, "") in ("length", "mass", "angle")
+    kind = (KEYS | ONE_LINK).get(key, "")
+    is_size = kind in ("length", "mass", "angle")
+    return is_size or key in ("foot_mass_ratio", "detuning", *OF_DRIVE)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from gaitsweep.tasks.walkers.walker import KEYS, NUMBERS, Walker
+from gaitsweep.tasks.walkers.walker import KEYS, NUMBERS, OF_HIP, Walker
 
 
 class WalkerArray(Walker):
@@ -87,3 +87,14 @@ class WalkerArray(Walker):
             self.m_t * (self.r_t**2 + self.c_t**2 + self.w_t**2) != 0
         )
         return np.broadcast_to(np.logical_not(massive), len(self))
+
+    @property
+    def acting(self) -> np.ndarray:
+        """Whether each walker pushes off, and whether anything acts between its thighs,
+        shape (2, n).
+        """
+        of_hip = np.any(
+            [np.broadcast_to(getattr(self, key), len(self)) for key in OF_HIP], axis=0
+        )
+        pushes = np.broadcast_to(self.push_off, len(self))
+        return np.stack([pushes, of_hip]) != 0

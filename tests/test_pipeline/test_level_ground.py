@@ -299,6 +299,7 @@ def test_a_page_tells_by_which_law_a_push_off_gives_step_lengths(tmp_path):
         "pushing-off",
         "cheapest-on-level-ground",
         "census-on-level-ground",
+        "mass-on-level-ground",
     ],
 )
 def test_the_studies_of_level_ground_run_and_are_shown(name, tmp_path):

@@ -534,7 +534,8 @@ def test_a_study_says_along_what_its_gaits_are_followed(tmp_path):
         ("branch", "[0.01, 0.02]", "push_off", "slope"),
         ("orbit", "[0.0]", "hip_torque", "hip_torque"),
         ("orbit", "[0.01]", "push_off", "slope"),
-        ("grid", "[0.0]", "push_off", "slope"),
+        ("grid", "[0.0]", "push_off", "push_off"),
+        ("grid", "[0.01]", "push_off", "slope"),
     ):
         head = f'name = "s"\nkind = "{kind}"\nwalker = "B"\n[axes]\nslope = {slope}\n'
         path.write_text(f"{head}{key} = [0.01, 0.02]\n")

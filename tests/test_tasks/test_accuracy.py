@@ -426,7 +426,7 @@ def test_a_variable_follows_from_the_quantities_that_it_needs(walker):
     for name in (
         name for name in SMOOTH if not name.startswith(("multiplier", "spectral"))
     ):
-        smooth = Smooth.of(problem.walker, (name,), problem.m)
+        smooth = Smooth.of(problem, (name,))
         every = {each: np.array([0.3, 0.4]) + k for k, each in enumerate(smooth.names)}
         needed = {smooth.names[k]: every[smooth.names[k]] for k in smooth.needed}
         one, other = (
@@ -442,7 +442,7 @@ def test_a_variable_follows_from_the_quantities_that_it_needs(walker):
 
 def test_the_error_of_a_derivative_is_that_of_all_its_entries():
     problem, _ = branches("D")
-    smooth = Smooth.of(problem.walker, ("multiplier_real", "multiplier_error_bound"), 2)
+    smooth = Smooth.of(problem, ("multiplier_real", "multiplier_error_bound"))
     J = np.array([[0.3, -2.0], [0.4, 0.5]])
     columns = {
         name: np.array([J[int(name[0]), int(name[1])]]) for name in smooth.entries

@@ -1118,12 +1118,15 @@ def test_lines_of_a_plane_whose_stability_errors_could_change_are_integrated(
     assert 0 < sum(integrated) < 24
 
 
+def place_of(quantity):
+    smooth = Smooth.of(Problem(resolve("B")), ("stance_angle",))
+    return smooth.names.index(quantity)
+
+
 def test_lines_of_a_plane_whose_labels_errors_could_change_are_integrated():
     family, cell = cell_of("B")
     made = interpolate.sheets(family, cell, ANGLE, 10**6)
-    ratio = Smooth.of(resolve("B"), ("stance_angle",), 3).names.index(
-        "heelstrike_rate_ratio"
-    )
+    ratio = place_of("heelstrike_rate_ratio")
     coefficients = made[0].chart.coefficients.copy()
     coefficients[:, ratio] = 0.0
     sizes = made[0].chart.sizes
@@ -1249,7 +1252,11 @@ def test_a_piece_is_cut_before_its_end(beyond, off):
     maker = object.__new__(_Maker)
     maker.d, maker.window = 1, (-4.0, -3.0)
     group = [
-        SimpleNamespace(q=(-5.0 - k, -2.0), kinds=("end_fall", "end_fall"))
+        SimpleNamespace(
+            q=(-5.0 - k, -2.0),
+            kinds=("end_fall", "end_fall"),
+            vanishes=lambda side: False,
+        )
         for k in (0, 1)
     ]
     group[1].q = (-4.0 - beyond, -2.0)

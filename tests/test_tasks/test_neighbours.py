@@ -158,7 +158,7 @@ def of_measures(s):
 
 def of_smooth_quantities(s):
     want = [name for name in WANT if name not in ("residual", "energy_imbalance")]
-    smooth = Smooth.of(s.problem.walker, want, s.problem.step.m)
+    smooth = Smooth.of(s.problem, want)
     gaits = describe(s.problem, s.at, s.slope, smooth.want)
     values, sizes = smooth.columns(s.slope, gaits, s.at.stride.jacobian)
     columns = dict(zip(smooth.names, values, strict=True))
