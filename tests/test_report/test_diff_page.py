@@ -67,6 +67,21 @@ def test_numbers_differ_by_shares_of_the_larger(made, copy):
     assert np.count_nonzero(found > 0) == 2
 
 
+def test_the_page_prints_the_digits_that_tell_two_numbers_apart(made, copy, capsys):
+    with netCDF4.Dataset(copy, "a") as file:
+        before = float(file["stance_angle"][3, 1, 0])
+        file["stance_angle"][3, 1, 0] = after = before * (1 + 1e-7)
+    page = copy.with_name("page.html")
+
+    commands.main(["diff", str(made), str(copy), "--page", str(page)])
+
+    row = re.search(r"<tr><td[^>]*>stance_angle.*?</tr>", page.read_text()).group()
+    printed = [float(text) for text in re.findall(r">(0\.\d+)<", row)]
+    assert len(set(printed)) == 2
+    for value in (before, after):
+        assert min(abs(text - value) for text in printed) < 1e-8 * value
+
+
 def test_archives_that_agree_are_said_to_agree(made, copy, capsys):
     page = copy.with_name("page.html")
 
