@@ -1,6 +1,6 @@
 """Differences between two archives."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,14 +39,14 @@ class Tolerance:
         name: str,
         x: np.ndarray,
         y: np.ndarray,
-        scale: np.ndarray | None = None,
+        size: np.ndarray | None = None,
     ) -> list[str]:
         """Differences between the values of a variable, if any, in a sentence."""
         if x.shape != y.shape:
             return [f"`{name}` has {counted(x.size, 'value')} and {y.size:,}"]
         kinds = x.dtype.kind, y.dtype.kind
         if kinds == ("f", "f"):
-            return self._compare_numbers(name, x, y, scale)
+            return self.describe(name, x, y, self.difference(name, x, y, size))
 
         if "O" in kinds:
             x = x.astype(str)
@@ -54,92 +54,50 @@ class Tolerance:
         unequal = np.count_nonzero(x != y)
         return [f"`{name}`: {unequal:,} of {x.size:,} differ"] if unequal else []
 
-    def _compare_numbers(
+    @np.errstate(invalid="ignore", divide="ignore", over="ignore")
+    def difference(
         self,
         name: str,
         x: np.ndarray,
         y: np.ndarray,
-        scale: np.ndarray | None,
-    ) -> list[str]:
-        """Differences between numbers beyond a tolerance times their scale, by default
-        the larger of two.
+        size: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """|x - y| over the size with which two numbers of a variable are compared, by
+        default the larger of both; infinite where they have none, NaN where one of them
+        is absent.
         """
-        rtol = self.own.get(name, self.rtol)
-        unit = " of their size"
-        if name not in self.own and name.rpartition("/")[2] in _ROUNDING:
-            scale = np.ones(x.shape)
-            unit = ""
-        unequal, worst = _unequal(x, y, rtol, scale)
-        differing = np.count_nonzero(unequal)
-        if not differing:
-            return []
+        if self._is_absolute(name):
+            size = np.ones(x.shape)
+        elif size is None:
+            size = np.maximum(np.abs(x), np.abs(y))
+        over = np.where(x == y, 0.0, np.abs(x - y) / size)
 
+        is_absent = np.isnan(x) | np.isnan(y)
+        over[np.isnan(over)] = np.inf
+        over[is_absent] = np.nan
+        return over
+
+    def describe(
+        self, name: str, x: np.ndarray, y: np.ndarray, difference: np.ndarray
+    ) -> list[str]:
+        """Say how many numbers of a variable differ by more than its tolerance, and by
+        how much at most, if any do.
+        """
         absent = np.count_nonzero(np.isnan(x) != np.isnan(y))
+        beyond = np.count_nonzero(difference > self.own.get(name, self.rtol))
         by = []
-        if absent < differing:
-            by.append(f"by up to {worst:.2g}{unit}")
+        if beyond:
+            unit = "" if self._is_absolute(name) else " of their size"
+            by.append(f"by up to {np.nanmax(difference):.2g}{unit}")
         if absent:
             by.append(f"{absent:,} absent in one")
-        return [f"`{name}`: {differing:,} of {x.size:,} differ, {', '.join(by)}"]
+        if not by:
+            return []
+        return [f"`{name}`: {absent + beyond:,} of {x.size:,} differ, {', '.join(by)}"]
 
-
-@np.errstate(invalid="ignore", divide="ignore")
-def _unequal(
-    x: np.ndarray,
-    y: np.ndarray,
-    rtol: float,
-    scale: np.ndarray | None,
-) -> tuple[np.ndarray, float]:
-    """Which numbers differ by more than a tolerance times their scale, and by how much
-    at most, over that.
-    """
-    if scale is None:
-        scale = np.maximum(np.abs(x), np.abs(y))
-    gap = np.abs(x - y)
-    both_absent = np.isnan(x) & np.isnan(y)
-    unequal = ~((gap <= rtol * scale) | (x == y) | both_absent)
-
-    has_size = np.isfinite(gap) & (scale > 0)
-    over_scale = np.where(has_size, gap / scale, 0.0)
-    return unequal, np.max(over_scale, initial=0.0)
-
-
-def diff(
-    a: Path,
-    b: Path,
-    rtol: float = 0.0,
-    own: Mapping[str, float] | None = None,
-) -> list[str]:
-    """List the differences between two archives, aligned by coordinates.
-
-    Parameters
-    ----------
-    a, b : Path
-    rtol : float
-        Relative tolerance: numbers are equal if they differ by at most `rtol` times the
-        larger. Parts of an eigenvalue are compared with its magnitude, measures of
-        rounding with one.
-    own : mapping, optional
-        Relative tolerances of single variables, or of columns as "group/column".
-
-    Returns
-    -------
-    list of str
-        One sentence for each difference.
-
-    Raises
-    ------
-    ArchiveError
-        If an archive cannot be read, or neither has a variable that `own` names.
-    """
-    tolerance = Tolerance(rtol, own or {})
-    with open_archive(a) as left, open_archive(b) as right:
-        names = {name for file in (left, right) for name, _ in layout.variables(file)}
-        for name in sorted(tolerance.own.keys() - names):
-            raise ArchiveError(f"Neither {a} nor {b} holds `{name}`.")
-
-        grids = _raw(left), _raw(right)
-        return [*_Comparison((a, b), grids, tolerance).of_archives(left, right)]
+    def _is_absolute(self, name: str) -> bool:
+        """Whether the numbers of a variable are compared as they are."""
+        return name not in self.own and name.rpartition("/")[2] in _ROUNDING
 
 
 @dataclass(frozen=True)
@@ -163,21 +121,47 @@ class Numbers:
     difference: xr.DataArray
 
 
-def numbers(a: Path, b: Path) -> list[Numbers]:
-    """Return the numbers that two archives have over coordinates, to be drawn.
+def diff(
+    a: Path,
+    b: Path,
+    rtol: float = 0.0,
+    own: Mapping[str, float] | None = None,
+    keep: Callable[[Numbers], object] | None = None,
+) -> list[str]:
+    """List the differences between two archives, aligned by coordinates.
+
+    Parameters
+    ----------
+    a, b : Path
+    rtol : float
+        Relative tolerance: numbers are equal if they differ by at most `rtol` times the
+        larger. Parts of an eigenvalue are compared with its magnitude, measures of
+        rounding with one.
+    own : mapping, optional
+        Relative tolerances of single variables, or of columns as "group/column".
+    keep : callable, optional
+        Is given the numbers of each variable over coordinates, from which the sentences
+        are made.
+
+    Returns
+    -------
+    list of str
+        One sentence for each difference.
 
     Raises
     ------
     ArchiveError
-        If an archive cannot be read.
+        If an archive cannot be read, or neither has a variable that `own` names.
     """
-    found = []
+    tolerance = Tolerance(rtol, own or {})
     with open_archive(a) as left, open_archive(b) as right:
+        names = {name for file in (left, right) for name, _ in layout.variables(file)}
+        for name in sorted(tolerance.own.keys() - names):
+            raise ArchiveError(f"Neither {a} nor {b} holds `{name}`.")
+
         grids = _raw(left), _raw(right)
-        for name in _compared(*grids):
-            if all(_is_over_coordinates(grid, name) for grid in grids):
-                found.append(_numbers(name, grids))
-    return found
+        comparison = _Comparison((a, b), grids, tolerance, keep)
+        return list(comparison.of_archives(left, right))
 
 
 def _is_over_coordinates(grid: xr.Dataset, name: str) -> bool:
@@ -187,22 +171,6 @@ def _is_over_coordinates(grid: xr.Dataset, name: str) -> bool:
     return set(grid[name].dims) <= set(grid.indexes)
 
 
-def _numbers(name: str, grids: _Pair) -> Numbers:
-    """A variable of two groups where both have it."""
-    first, second = xr.align(*(grid[name].load() for grid in grids), join="inner")
-    second = second.transpose(*first.dims)
-    *_, size = _aligned(name, grids)
-    if size is None:
-        size = np.fmax(np.abs(first.values), np.abs(second.values))
-    if name in _ROUNDING:
-        size = np.ones(first.shape)
-
-    gap = np.abs(first.values - second.values)
-    over = np.divide(gap, size, out=np.zeros(gap.shape), where=gap > 0)
-    difference = first.copy(data=np.where(np.isnan(gap), np.nan, over))
-    return Numbers(name, str(first.attrs.get("units", "")), first, second, difference)
-
-
 def _raw(group: Any) -> xr.Dataset:
     """A group with its values as they are stored."""
     return dataset(group, mask_and_scale=False, decode_times=False)
@@ -210,13 +178,14 @@ def _raw(group: Any) -> xr.Dataset:
 
 @dataclass(frozen=True)
 class _Comparison:
-    """What two archives are compared by: their paths, their main groups, and the
-    tolerance.
+    """What two archives are compared by: their paths, their main groups, the
+    tolerance, and what is given the numbers over coordinates.
     """
 
     paths: tuple[Path, Path]
     grids: _Pair
     tolerance: Tolerance
+    keep: Callable[[Numbers], object] | None
 
     def of_archives(self, left: Any, right: Any) -> Iterator[str]:
         """Differences between two open archives."""
@@ -299,13 +268,35 @@ class _Comparison:
         if x.dims == ("row",):
             return self.tolerance.compare(path, x.values[rows[0]], y.values[rows[1]])
 
-        one, other, size = _aligned(name, groups)
+        first, second, size = _aligned(name, groups)
+        if not prefix and all(_is_over_coordinates(group, name) for group in groups):
+            return self._of_numbers(name, first, second, size)
+
+        # Those of a single line are scalars.
+        one, other = np.atleast_1d(first.values, second.values)
         if name == "status":
             return _compare_status(one, other)
         if name == "reason":
             one = _sentences(groups[0])[one]
             other = _sentences(groups[1])[other]
         return self.tolerance.compare(path, one, other, size)
+
+    def _of_numbers(
+        self,
+        name: str,
+        first: xr.DataArray,
+        second: xr.DataArray,
+        size: np.ndarray | None,
+    ) -> list[str]:
+        """Differences between numbers over coordinates, which may be kept too."""
+        x = first.values
+        y = second.values
+        over = self.tolerance.difference(name, x, y, size)
+
+        if self.keep:
+            units = str(first.attrs.get("units", ""))
+            self.keep(Numbers(name, units, first, second, first.copy(data=over)))
+        return self.tolerance.describe(name, x, y, over)
 
 
 def _compared(x: xr.Dataset, y: xr.Dataset) -> list[str]:
@@ -316,7 +307,7 @@ def _compared(x: xr.Dataset, y: xr.Dataset) -> list[str]:
 
 def _aligned(
     name: str, groups: _Pair
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+) -> tuple[xr.DataArray, xr.DataArray, np.ndarray | None]:
     """Values of a variable at the coordinates that two groups share, and the size with
     which they are compared, if it is not their own.
     """
@@ -324,10 +315,11 @@ def _aligned(
     parts = [x, y, *_magnitudes(name, groups)]
     unindexed = set(x.dims) - set(x.indexes)
     aligned = xr.align(*parts, join="inner", exclude=unindexed)
-    # Those of a single line are scalars.
-    values = [np.atleast_1d(part.transpose(*x.dims).values) for part in aligned]
-    one, other, *sizes = values
-    return one, other, np.maximum(*sizes) if sizes else None
+    one, other, *sizes = (part.transpose(*x.dims) for part in aligned)
+    if not sizes:
+        return one, other, None
+    of_one, of_other = (size.values for size in sizes)
+    return one, other, np.atleast_1d(np.fmax(of_one, of_other))
 
 
 def _parameters(file: Any) -> dict[str, np.ndarray]:

@@ -13,13 +13,16 @@ def run(options: argparse.Namespace) -> int:
     if options.page:
         paths.check_page(options.page, "diff")
     own = dict(options.rtol)
-    differences = diff.diff(options.a, options.b, own.pop("", 0.0), own)
+    rtol = own.pop("", 0.0)
+    compared: list[diff.Numbers] = []
+    # Only a page needs the numbers of all variables at once.
+    keep = compared.append if options.page else None
+    differences = diff.diff(options.a, options.b, rtol, own, keep)
     print("\n".join(differences) if differences else "They agree.")
 
     if options.page:
         from gaitsweep.pipeline.report import diff_page
 
-        compared = diff.numbers(options.a, options.b)
         summary = _summary(len(differences), dict(options.rtol))
         archives = options.a, options.b
         text = diff_page.page(archives, summary, differences, compared)

@@ -37,14 +37,19 @@ def cell(value: Any, counted: bool = False, digits: int = 6) -> Cell:
     """
     if isinstance(value, (bool, np.bool_)):
         return Cell("yes" if value else "no")
+
     if isinstance(value, (int, np.integer)):
-        return Cell(str(int(value)).replace("-", "−"), int(value), counted)
+        number = int(value)
+        text = str(number).replace("-", "−")
+        return Cell(text, number, counted)
+
     if isinstance(value, (float, np.floating)):
-        return (
-            Cell("–")
-            if np.isnan(value)
-            else Cell(plain(float(value), digits), float(value), counted)
-        )
+        if np.isnan(value):
+            return Cell("–")
+        real = float(value)
+        text = plain(real, digits)
+        return Cell(text, real, counted)
+
     return Cell(WORDS["names"].get(value) or phrased(str(value)))
 
 
@@ -54,7 +59,7 @@ _KINDS = WORDS["kinds"]
 
 def column_cells(name: str, frame: pd.DataFrame) -> list[Cell]:
     """Make the cells of one column of a frame: six digits for each number, or those
-    that tell two ends apart.
+    that tell the two numbers of a pair apart.
     """
     column = frame[name]
     if name in _KINDS["coded"]:
@@ -67,11 +72,15 @@ def column_cells(name: str, frame: pd.DataFrame) -> list[Cell]:
     numbers = column.tolist()
     if name in _KINDS["errors"]:
         return [cell(value, digits=2) for value in numbers]
-    if name in ("low", "high") and {"low", "high"} <= set(frame.columns):
-        widths = np.abs((frame["high"] - frame["low"]) / column)
-        digits = [_digits(width) for width in widths]
-        pairs = zip(numbers, digits, strict=True)
-        return [cell(value, digits=own) for value, own in pairs]
+    for pair in _KINDS["pairs"]:
+        if name in pair and set(pair) <= set(frame.columns):
+            ends = [frame[end].to_numpy() for end in pair]
+            digits = _telling_apart(*ends)
+            return [
+                cell(value, digits=enough)
+                for value, enough in zip(numbers, digits, strict=True)
+            ]
+
     decimals = _decimals(column.to_numpy())
     if decimals is None:
         return [cell(value) for value in numbers]
@@ -82,14 +91,22 @@ def _fixed(value: float, decimals: int) -> Cell:
     """The cell of a number with so many decimals; 0 is told as such."""
     if not value or not np.isfinite(value):
         return cell(value)
-    return Cell(f"{value:.{decimals}f}".replace("-", "−"), value)
+    text = f"{value:.{decimals}f}"
+    return Cell(text.replace("-", "−"), value)
 
 
-def _digits(width: float) -> int:
-    """Significant digits with which the two ends of an interval of that relative width
-    differ in the last two.
+def _telling_apart(x: np.ndarray, y: np.ndarray) -> list[int]:
+    """Significant digits with which the two numbers of each pair differ in the last
+    two: six at least, and at most those that tell any two numbers apart.
     """
-    return int(np.clip(np.ceil(-np.log10(width)) + 1, 6, 15)) if width > 0 else 6
+    with np.errstate(invalid="ignore", over="ignore"):  # they may be infinite
+        gap = np.abs(x - y)
+    differ = np.isfinite(gap) & (gap > 0)
+    size = np.maximum(np.abs(x), np.abs(y))
+    apart = np.divide(gap, size, out=np.ones(gap.shape), where=differ)
+    digits = np.ceil(-np.log10(apart)) + 1
+    enough = np.clip(digits, 6, 17)
+    return [int(n) for n in enough]
 
 
 def _decimals(values: np.ndarray) -> int | None:
@@ -97,15 +114,15 @@ def _decimals(values: np.ndarray) -> int | None:
     much.
     """
     sizes = np.abs(values[np.isfinite(values) & (values != 0)])
-    if (
-        not len(sizes)
-        or sizes.min() < 1e-4
-        or sizes.max() >= 1e6
-        or sizes.max() > 2e3 * sizes.min()
-    ):
+    if not len(sizes):
         return None
+    smallest = sizes.min()
+    largest = sizes.max()
+    if smallest < 1e-4 or largest >= 1e6 or largest > 2e3 * smallest:
+        return None
+
     # Numbers of a few digits, such as the values of an axis, are shown as they are.
     for decimals in range(7):
         if np.allclose(sizes, np.round(sizes, decimals), rtol=0, atol=1e-12):
             return decimals
-    return max(0, 5 - int(np.floor(np.log10(sizes.max()))))
+    return max(0, 5 - int(np.floor(np.log10(largest))))

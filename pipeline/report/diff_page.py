@@ -47,7 +47,7 @@ def page(
     first, second = (path.name for path in archives)
     ordered = sorted(compared, key=_how_far, reverse=True)
     differing = [numbers for numbers in ordered if _how_far(numbers) > (0, 0.0)]
-    drawn = [numbers for numbers in differing if _largest(numbers) > 0][:_PANELS]
+    drawn = [numbers for numbers in differing if _has_curve(numbers)][:_PANELS]
 
     drawing: Drawing | None = None
     if drawn:
@@ -87,6 +87,13 @@ def _absent(numbers: Numbers) -> int:
 def _largest(numbers: Numbers) -> float:
     """Largest difference of a variable; 0 where none has both values."""
     return float(np.nanmax(numbers.difference.values, initial=0.0))
+
+
+def _has_curve(numbers: Numbers) -> bool:
+    """Whether the differences of a variable can be drawn: an infinite one has no place
+    on an axis.
+    """
+    return 0 < _largest(numbers) < np.inf
 
 
 def _sketch(compared: Sequence[Numbers]) -> Sketch:
@@ -174,7 +181,7 @@ def _row(numbers: Numbers) -> dict[str, object]:
     row: dict[str, object] = {
         "variable": numbers.name,
         "absent in one": _absent(numbers),
-        "compared": int(np.isfinite(over).sum()),
+        "compared": int(np.count_nonzero(~np.isnan(over))),
         "differ": int((over > 0).sum()),
         "largest": _largest(numbers),
         "where": "",

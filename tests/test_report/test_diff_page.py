@@ -58,13 +58,97 @@ def test_the_page_tells_where_two_archives_differ_most(made, copy, capsys):
 def test_numbers_differ_by_shares_of_the_larger(made, copy):
     _change(copy)
 
-    (angle,) = (one for one in diff.numbers(made, copy) if one.name == "stance_angle")
+    kept = []
+    diff.diff(made, copy, keep=kept.append)
 
+    (angle,) = (one for one in kept if one.name == "stance_angle")
     found = angle.difference.values
     assert found[3, 1, 0] == pytest.approx(1e-9, rel=1e-5)
     assert found[7, 0, 1] == pytest.approx(1e-6, rel=1e-5)
     assert np.isnan(found[9, 1, 0])
     assert np.count_nonzero(found > 0) == 2
+
+
+def test_the_page_prints_the_digits_that_tell_two_numbers_apart(made, copy, capsys):
+    with netCDF4.Dataset(copy, "a") as file:
+        before = float(file["stance_angle"][3, 1, 0])
+        file["stance_angle"][3, 1, 0] = after = before * (1 + 1e-7)
+    page = copy.with_name("page.html")
+
+    commands.main(["diff", str(made), str(copy), "--page", str(page)])
+
+    row = re.search(r"<tr><td[^>]*>stance_angle.*?</tr>", page.read_text()).group()
+    printed = [float(text) for text in re.findall(r">(0\.\d+)<", row)]
+    assert len(set(printed)) == 2
+    for value in (before, after):
+        assert min(abs(text - value) for text in printed) < 1e-8 * value
+
+
+@pytest.mark.parametrize("tolerances", [[], ["--rtol", "residual=1e-12"]])
+def test_sentences_and_page_measure_a_difference_alike(made, copy, capsys, tolerances):
+    """A measure of rounding is compared with one, unless it has a tolerance of its
+    own.
+    """
+    with netCDF4.Dataset(copy, "a") as file:
+        before = float(file["residual"][3, 1, 0])
+        file["residual"][3, 1, 0] = after = before + 1e-9
+    page = copy.with_name("page.html")
+
+    commands.main(["diff", str(made), str(copy), "--page", str(page), *tolerances])
+
+    share = 1e-9 / after if tolerances else 1e-9
+    (said,) = re.findall(r"by up to (\S+)", capsys.readouterr().out)
+    assert float(said) == pytest.approx(share, rel=0.05)
+    row = re.search(r"<tr><td[^>]*>residual.*?</tr>", page.read_text()).group()
+    values = [float(text) for text in re.findall(r'value="([^"]+)"', row)]
+    assert share == pytest.approx(values[3], rel=1e-6)
+
+
+def test_an_archive_is_opened_once_for_sentences_and_page(
+    made, copy, capsys, monkeypatch
+):
+    opened = []
+    open_archive = diff.open_archive
+
+    def counted(path):
+        opened.append(path)
+        return open_archive(path)
+
+    monkeypatch.setattr(diff, "open_archive", counted)
+    page = copy.with_name("page.html")
+
+    commands.main(["diff", str(made), str(copy), "--page", str(page)])
+
+    assert opened == [made, copy]
+
+
+def test_a_page_of_archives_with_other_axes_has_what_both_can_be_compared_in(
+    made, tmp_path, capsys
+):
+    toy = Toy(tmp_path)
+    toy.write(STUDY.replace("w_t = [0.0, 0.25]", ""))
+    toy("run", "toy.toml")
+    other = tmp_path / "data" / "archive" / "toy.nc"
+    page = tmp_path / "page.html"
+
+    code = commands.main(["diff", str(made), str(other), "--page", str(page)])
+
+    assert code == 1 and capsys.readouterr().err == ""
+    assert "the dimension w_t is only in" in page.read_text()
+
+
+def test_an_infinite_number_differs_whatever_the_tolerance(made, copy, capsys):
+    with netCDF4.Dataset(copy, "a") as file:
+        file["stance_angle"][3, 1, 0] = np.inf
+    page = copy.with_name("page.html")
+    command = ["diff", str(made), str(copy), "--page", str(page), "--rtol", "0.5"]
+
+    code = commands.main(command)
+
+    assert code == 1
+    assert "1 of 800 differ, by up to inf" in capsys.readouterr().out
+    row = re.search(r"<tr><td[^>]*>stance_angle.*?</tr>", page.read_text()).group()
+    assert ">∞<" in row
 
 
 def test_archives_that_agree_are_said_to_agree(made, copy, capsys):

@@ -1098,6 +1098,32 @@ def test_the_ends_of_an_interval_are_told_apart():
     assert low != high and "(" not in low
 
 
+@pytest.mark.parametrize("share", [1e-3, 1e-7, 1e-12, 2**-52])
+def test_two_values_that_differ_are_told_apart(share):
+    """Down to neighbours among doubles."""
+    first = np.array([0.0182933977, 1.0, -4.75, 7.0])
+    second = first * (1 + share)
+    second[3] = 7.0
+    frame = pd.DataFrame({"first": first, "second": second})
+
+    one, other = (cells.column_cells(name, frame) for name in frame)
+
+    differ = [a.text != b.text for a, b in zip(one, other, strict=True)]
+    assert differ == [True, True, True, False]
+    assert [c.text for c in (one[3], other[3])] == ["7", "7"]
+
+
+def test_values_that_are_absent_or_infinite_have_no_digits_to_tell_apart():
+    frame = pd.DataFrame(
+        {"first": [np.inf, np.inf, np.nan, 0.0], "second": [np.inf, 1.0, 1.0, 0.0]}
+    )
+
+    one, other = (cells.column_cells(name, frame) for name in frame)
+
+    assert [c.text for c in one] == ["∞", "∞", "–", "0"]
+    assert [c.text for c in other] == ["∞", "1", "1", "0"]
+
+
 def test_a_title_over_all_panels_is_that_of_each_whatever_stands_above_it():
     figure = Figure()
     panels = figure.subplots(1, 2)
