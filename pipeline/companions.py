@@ -82,6 +82,7 @@ class Companions:
                 raise ArchiveError(
                     f"{self.folder} is {kind}, not a folder of gaitsweep; move it away."
                 )
+
         for suffix, beginning in _BEGINNINGS.items():
             paths.check_own(self._named(suffix), beginning)
 

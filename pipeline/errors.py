@@ -115,6 +115,7 @@ def shortage(error: BaseException, *files: Path) -> OSError | None:
         return error
     if limit := reached_limit(error):
         return limit
+
     try:
         start = max((file.stat().st_size for file in files if file.exists()), default=0)
         with tempfile.TemporaryFile(dir=files[0].parent, buffering=0) as file:
@@ -123,6 +124,7 @@ def shortage(error: BaseException, *files: Path) -> OSError | None:
                 file.write(bytes(_LITTLE - n))
     except OSError as failure:
         return failure if _is_shortage(failure) else None
+
     return None
 
 
@@ -145,9 +147,11 @@ def unwritten(path: Path, error: OSError, use: str = "written") -> GaitsweepErro
         return WorkerError(
             f"A limit of the system is reached{place}: {error.strerror}."
         )
+
     sentence = f"{error.filename or path} cannot be {use}: {error.strerror}."
     if is_disk_full(error) or error.errno == errno.EFBIG:
         return DiskFullError(sentence)
+
     return ArchiveError(sentence)
 
 

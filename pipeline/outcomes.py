@@ -18,6 +18,7 @@ def count_rows(status: np.ndarray) -> dict[tuple[int, ...], int]:
         code = code * base + column
     occurrences = np.bincount(code)
     powers = base ** np.arange(status.shape[1])[::-1]
+
     return {
         tuple((c // powers % base).tolist()): int(occurrences[c])
         for c in np.flatnonzero(occurrences)

@@ -44,10 +44,12 @@ def check_own(path: Path, beginning: bytes, mark: bytes = b"") -> None:
             raise ArchiveError(
                 f"{path} is {kind}, not a file of gaitsweep; move it away."
             )
+
         with open(path, "rb") as file:
             head = file.read(_HEAD).strip(b"\0")
             file.seek(max(0, path.lstat().st_size - _TAIL))
             has_mark = mark in head or mark in file.read(_TAIL)
+
         if head and not (has_mark and re.match(beginning, head)):
             raise ArchiveError(f"{path} is not a file of gaitsweep; move it away.")
 

@@ -33,6 +33,7 @@ def dump(tree: Any) -> bytes:
                 raise TypeError(f"an array of {x.dtype} cannot be kept")
             arrays.append(x)
             return {"": [x.dtype.str, list(x.shape)]}
+
         return x.item()  # a numpy scalar; anything else fails here
 
     header = json.dumps(tree, default=plain, separators=(",", ":")).encode()
@@ -59,12 +60,14 @@ def load(data: bytes) -> Any:
             nonlocal offset
             if "" not in x:
                 return x
+
             text, shape = x[""]
             dtype = np.dtype(str(text))
             if dtype.kind not in "fiubU" or not all(
                 isinstance(n, int) and n >= 0 for n in shape
             ):
                 raise ValueError("unknown array")
+
             count = math.prod(shape)
             values = np.empty(0, dtype)
             if count:

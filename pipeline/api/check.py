@@ -97,6 +97,7 @@ def check(
         given, _ = states.from_csv(Path(table), convention, renamed)
     else:
         given = states.from_python(table, convention, renamed)
+
     of_rows = _in_rad(given, slope, degrees)
     params = {
         "walker": definition(walker),
@@ -114,6 +115,7 @@ def check(
         given_slope = np.broadcast_to(of_rows["slope"], highest.shape)
         slope_of_row = float(given_slope[highest.argmin()])
         check_driven(params["walker"], params["set"], slope_of_row)
+
     with for_question(given.count):
         answer = ask("check_states", params)
     return _frame(answer)
@@ -138,6 +140,7 @@ def _in_rad(given: States, slope: float | None, degrees: bool) -> dict[str, Any]
     if len(wrong):
         row = f"row {wrong[0] + 1}" if "slope" in given.values else ""
         slopes.check(float(column[wrong[0]]), Location(row, "slope"), may_be_level=True)
+
     return {"slope": column, "table": values, "digits": digits, "sizes": sizes}
 
 
@@ -172,6 +175,7 @@ def _summary(frame: pd.DataFrame) -> str:
         return f"The one state is a gait, {'stable' if stable else 'unstable'}."
     if gaits == count:
         return f"All {count:,} states are gaits, {stable:,} of them stable."
+
     others = frame.loc[~frame["is_gait"], "verdict"].value_counts()
     told = [f"{number:,} {name.replace('_', ' ')}" for name, number in others.items()]
     return f"{gaits:,} of {count:,} states are gaits; the others: {', '.join(told)}."

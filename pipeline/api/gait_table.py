@@ -63,12 +63,15 @@ def _figure(gait: pd.Series, walks: Walks) -> str:
     """
     if not {*_STATE, "slope", walks.varied} <= {*gait.index}:
         return ""
+
     try:
         picture = base64.b64encode(_picture(gait, walks)).decode()
     except GaitsweepError:
         return ""
+
     stability = "stable" if gait.get("stable") == 1 else "unstable"
     words = f"{gait.get('gait', 'a')} step, {stability}"
+
     return (
         '<figure style="display:inline-block;margin:0 1em .5em 0">'
         f'<img alt="{words}" width="360" src="data:image/svg+xml;base64,{picture}">'

@@ -191,6 +191,7 @@ def _base(
         options["violation_limits"] = limits
     if at:
         options["at"] = at
+
     return Study(
         "",
         "",
@@ -223,6 +224,7 @@ def _checked(
         else:
             can_be = is_slope | is_level & check["driven"]
             lines.append(_Line(base, line, every[can_be[every]], slope, check))
+
     return lines, unsolvable
 
 
@@ -240,8 +242,10 @@ def _refuse_if_none(
     if unsolvable or base.at:
         wrong = [*unsolvable, *_wrong_slopes(base, slope)]
         raise wrong[0][1]
+
     if slopes.is_level(slope[0]):
         raise slopes.undriven(float(slope[0]))
+
     slopes.check(float(slope[0]))
 
 
@@ -259,6 +263,7 @@ def _check(base: Study, line: dict[str, Any], slope: np.ndarray) -> dict[str, An
     check: dict[str, Any] = dispatch.ask(name, asked)
     if slopes.is_level(line.get("slope", 1.0)) and not check["driven"]:
         raise slopes.undriven(line["slope"])
+
     return check
 
 
@@ -273,6 +278,7 @@ def _wrong_slopes(
         is_wrong[at] = False
     wrong = np.flatnonzero(is_wrong)
     values, which = np.unique(slope[wrong], return_inverse=True)
+
     return [
         (wrong[which == k], _refused(base, value))
         for k, value in enumerate(values.tolist())
@@ -328,6 +334,7 @@ def _lines(
             varying, sort=False, dropna=False
         )
         number = groups.ngroup().to_numpy()
+
     order = np.argsort(number, kind="stable")
     for at in np.split(order, np.cumsum(np.bincount(number))[:-1]) if n else ():
         own = {name: flat[name][at[0]].item() for name in varying}
@@ -434,6 +441,7 @@ def _moved(
     for key in dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS"):
         if key in varying or key not in owners:
             continue
+
         arrays = xr.broadcast(*(varying[owner] for owner in owners[key]))
         flat = {
             owner: array.values.ravel().astype(float)
@@ -444,6 +452,7 @@ def _moved(
         moved[key] = xr.DataArray(
             values.reshape(arrays[0].shape), dims=arrays[0].dims, attrs=about
         )
+
     return moved
 
 
@@ -472,6 +481,7 @@ class _Units:
         ratios = self.ratios[:, at]
         if (ratios == 1).all():
             return points
+
         values = dict(points.values)
         for name, array in points.values.items():
             if array.dtype == float:
@@ -487,6 +497,7 @@ class _Units:
             values["reason"][some] = _told_in_time(
                 lines[number].line, times, reason, sentences
             )
+
         return Points(values, sentences)
 
 
@@ -512,6 +523,7 @@ def _told_in_time(
             sentence = sentences[number].replace(words, own)
             numbers[row, k] = sentence_number(sentence)
             sentences[int(numbers[row, k])] = sentence
+
     return numbers[which[:, None], place.reshape(reason.shape)]
 
 
@@ -532,6 +544,7 @@ def _solve_in_units(base: Study, lines: list[_Line], flat: Arrays) -> Iterator[_
             # Nor are those of the others, which set the same keys.
             yield from _solve(base, lines)
             return
+
         name = repr(found["plain"])
         alike.setdefault(name, []).append(one)
         if found["keys"]:
@@ -543,6 +556,7 @@ def _solve_in_units(base: Study, lines: list[_Line], flat: Arrays) -> Iterator[_
         at = np.concatenate([one.at for one in own])
         units.line[at] = number
         merged.append(_without_keys(own[0], plain.get(name), at, flat["slope"]))
+
     for at, points in _solve(base, [*merged]):
         yield at, units.convert(at, points, merged)
 
@@ -591,6 +605,7 @@ def _solve_plane(
         rows = [place * len(one.slopes) + one.row for place, one in enumerate(own)]
         at = np.concatenate([one.at for one in own])
         yield at, _points(plan, chunk).take(np.concatenate(rows))
+
     return []
 
 
@@ -600,6 +615,7 @@ def _plane(base: Study, lines: list[_Line]) -> tuple[Study, list[_Line]] | None:
     """
     if len(lines) < 2:
         return None
+
     slope = lines[0].slopes
     if not all(np.array_equal(one.slopes, slope) for one in lines):
         return None
@@ -648,10 +664,12 @@ def _points(plan: Plan, chunk: Chunk) -> Points:
         assert atlas
         reason = of_atlas(atlas.reason)
         return Points.of_ending(chunk.points, atlas.status, reason, graph.variables)
+
     points = store.points(key, graph.variables)
     if graph.method is not Method.ALONE:
         # They are cheaper to compute again than to keep.
         _remembered().drop(key)
+
     return points
 
 
@@ -683,6 +701,7 @@ def _dataset(
     coords |= _inner_coordinates(points)
     if "key" in coords:
         variables["key_units"] = _key_units(study, coords["key"][1])
+
     return xr.Dataset(
         variables,
         {**coords, **keys.coordinates},
@@ -701,10 +720,12 @@ def _inner_coordinates(points: Points) -> dict[str, Any]:
     if multipliers:
         numbers = np.arange(multipliers[0], dtype=np.int32)
         coordinates["multiplier"] = "multiplier", numbers, attributes.MULTIPLIER
+
     by_key = [a for name, a in points.values.items() if "key" in VARIABLES[name].dims]
     if by_key:
         keys = np.array(attributes.differentiated(by_key[0].shape[-1]))
         coordinates["key"] = "key", keys, attributes.KEY, _CHARACTERS
+
     return coordinates
 
 

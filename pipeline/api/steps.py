@@ -216,6 +216,7 @@ def simulate(
             answer = dispatch.ask("simulate", asked)
     elif limits:
         raise StudyError("`limits` needs `dt` or `samples`.")
+
     return _dataset(answer, steps, checks)
 
 
@@ -233,6 +234,7 @@ def _dataset(
         dims = ("step", "phase", "sample")[: values.ndim]
         about = units.described(meaning, kind, checks)
         variables[name] = (dims, np.concatenate([values, missing]), about)
+
     for name, values in series.items():
         kind, meaning = _OF_SERIES.get(name) or meaning_of(name)
         variables[name] = ("sample", values, units.described(meaning, kind, checks))
@@ -247,6 +249,7 @@ def _of_start(ground: float | None) -> dict[str, str]:
     """What is said of a start on ground of another slope."""
     if ground is None:
         return {}
+
     degrees = np.degrees(ground)
     sentence = (
         "The swing foot begins above the ground, behind; both feet would stand on a"
@@ -267,6 +270,7 @@ def _outcome(cause: str, taken: int, steps: int) -> dict[str, Any]:
         ("steps_taken", np.int32(taken), "number of steps that end in a heelstrike"),
     ):
         variables[name] = ((), value, {"long_name": text, "units": "1"})
+
     return variables
 
 
@@ -277,6 +281,7 @@ def _time_step(dt: object, samples: object, period: np.ndarray) -> float:
         raise StudyError("No step is taken, of which a series could be sampled.")
     if dt is not None and samples is not None:
         raise StudyError("`dt` and `samples` cannot both be given.")
+
     whole = float(taken.sum())
     if samples is not None:
         return whole / (Location("", "samples").count(samples, _MAX_SAMPLES, 2) - 1)
@@ -290,6 +295,7 @@ def _time_step(dt: object, samples: object, period: np.ndarray) -> float:
         raise Location("", "dt").wrong(
             f"must be at least {least:.2g}, for {_MAX_SAMPLES:,} samples", step
         )
+
     return step
 
 
@@ -301,6 +307,7 @@ def _params(
     slopes.check(value, may_be_level=True)
     checked, set_keys = definition(walker), changes(keys)
     check_driven(checked, set_keys, value)
+
     return {
         "walker": checked,
         "slope": value,
@@ -314,10 +321,12 @@ def _numbers(name: str, value: Any, *counts: int) -> list[float]:
         values = [] if isinstance(value, str | bytes | Mapping | Set) else list(value)
     except TypeError:  # not a sequence
         values = []
+
     if len(values) not in counts:
         *most, last = map(str, counts)
         wanted = " or ".join(filter(None, (", ".join(most), last)))
         raise Location("", name).wrong(f"must be {wanted} numbers", value)
+
     return [number(name, v) for v in values]
 
 
@@ -327,6 +336,7 @@ def _by_step(name: str, value: Any, steps: int) -> Mapping[int, Any]:
         return {}
     if not isinstance(value, Mapping):
         raise Location("", name).wrong("must be a mapping from steps", value)
+
     for k in value:
         if (
             isinstance(k, bool)
@@ -336,4 +346,5 @@ def _by_step(name: str, value: Any, steps: int) -> Mapping[int, Any]:
             raise StudyError(
                 f"`{name}` must name steps from 0 to {steps - 1}; got {k!r}."
             )
+
     return {int(k): v for k, v in value.items()}

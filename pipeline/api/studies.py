@@ -80,10 +80,12 @@ def load(archive: str | Path, table: str | None = None) -> xr.Dataset | pd.DataF
             ):  # how strings lie in this file; a part of them lies otherwise in another
                 grid[name].encoding.pop("char_dim_name", None)
             return Dataset(grid.data_vars, grid.coords, grid.attrs)
+
         if table not in tables:
             raise ArchiveError(
                 f"{path} has no table {table}; it has {', '.join(tables) or 'none'}."
             )
+
         columns = dataset(file[table]).load()
         return unfold.table(columns, dataset(file).coords.to_dataset().load())
 
@@ -115,6 +117,7 @@ def _decode(grid: xr.Dataset) -> xr.Dataset:
         )
         texts["status"] = np.vectorize(names.get, otypes=[object])(grid.status.values)
         texts["reason"] = grid.reason_text.values[grid.reason.values]
+
     grid = grid.assign(
         {
             name: (grid[name].dims, text, {"long_name": grid[name].long_name})
@@ -132,12 +135,14 @@ def _decode(grid: xr.Dataset) -> xr.Dataset:
         grid = grid.assign(
             violations=((bits & masks) != 0).assign_attrs(long_name=bits.long_name)
         )
+
     if "multiplier_real" in grid and "multiplier_imag" in grid:
         multipliers = grid.multiplier_real + 1j * grid.multiplier_imag
         long_name = grid.multiplier_real.long_name.removeprefix("real part of ")
         grid = grid.assign(
             multipliers=multipliers.assign_attrs(long_name=long_name, units="1")
         )
+
     return grid
 
 
@@ -194,6 +199,7 @@ def run(
         archive is not None and Path(archive).suffix != ".nc"
     ):
         raise Location("", "archive").wrong("must be a name that ends in .nc", archive)
+
     study = _study(wanted, accuracy)
     path = Path(archive) if archive else default_archive(study.name)
     runner.run(
@@ -224,12 +230,14 @@ def _study(
                 f"{wanted} is a folder of {len(found)} studies; `run` takes one."
             )
         return parse.read(found[0], accuracy)
+
     try:
         table = toml.read(wanted)
     except ValueError as error:
         wrong = StudyError(f"The study cannot be read: {error}.")
         toml.note_place(wrong, wanted, error)
         raise wrong from error
+
     return parse.parse(table, wanted, Path("study"), accuracy)
 
 
@@ -313,6 +321,7 @@ def gaits(
     names = [variables] if isinstance(variables, str) else variables
     if not isinstance(names, Iterable | None):
         raise Location("", "variables").wrong("must be a list of names", names)
+
     wanted = want.variables(
         None if names is None else list(names), Location("", "variables"), bound
     )
@@ -366,6 +375,7 @@ def _asked(
 
     if not isinstance(at, Mapping) or len(at) != 1:
         raise Location("", "at").wrong("must be a table of one measure", at)
+
     Location("", "at").check_names(at, nameable(), "measure")
     place = Location("", "slope")
     if slope is None and vary != "slope":
@@ -450,6 +460,7 @@ def solve(
     else:
         chosen = every, steps, accuracy, limits, tuned
         answer = single_point.solve(definition, fixed, changes, *chosen)
+
     frame = pd.DataFrame(map(_row, answer["gaits"]), columns=answer["columns"])
     frame.attrs["search"] = answer["search"]
     frame.attrs["absent"] = list(answer["absent"])

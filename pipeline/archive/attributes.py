@@ -60,6 +60,7 @@ def of_axis(name: str, checks: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     if name in VARIABLES:
         measure = VARIABLES[name]
         return units.described(measure.long_name, measure.kind, checks)
+
     about = {
         "long_name": EXTRA_AXES.get(name, f"walker's {name}"),
         "units": units.axis_units(name, checks),
@@ -67,11 +68,13 @@ def of_axis(name: str, checks: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     found = [check["way"] for check in checks if "way" in check]
     if name != "detuning" or not found:
         return about
+
     start, end = ends(found)
     about["long_name"] = f"mixture of {start} (0) and {end} (1)"
     for at in (0, 1):
         tables = [way["tables"][at] for way in found]
         about[f"walker_at_{at}"] = json.dumps(tables if len(tables) > 1 else tables[0])
+
     return about
 
 
@@ -96,6 +99,7 @@ def of_dataset(study: Study) -> dict[str, Any]:
         f"gaits that repeat after {study.steps} steps: the state is that with the largest stance angle, period and "
         f"losses are of all {study.steps} steps, a violation is the worst of them"
     )
+
     return about | (
         {"steps": np.int32(study.steps), "comment": meaning} if study.steps > 1 else {}
     )
@@ -116,10 +120,12 @@ def of_variable(variable: Variable, study: Study) -> dict[str, Any]:
     if variable.name == VARIED:
         about = of_axis(str(study.at["vary"]), study.checks)
         return about | {"ancillary_variables": "status reason"}
+
     if variable.group == SENSITIVITIES:
         unit = units.of_kind(variable.kind, study.checks)
         comment = f"in {unit} over the unit of each key: see key_units"
         return {"long_name": variable.long_name, "units": "1", "comment": comment}
+
     attrs = units.described(
         over_steps(variable.long_name, study.steps), variable.kind, study.checks
     )
@@ -136,6 +142,7 @@ def of_variable(variable: Variable, study: Study) -> dict[str, Any]:
         values = np.array(list(limits.values()))
         units_of = "; ".join(f"{name}: {VIOLATIONS[name].unit}" for name in limits)
         attrs |= {"flag_limits": values, "flag_limit_units": units_of}
+
     if variable.name not in ("status", "reason"):
         attrs["ancillary_variables"] = "status reason"
     return attrs

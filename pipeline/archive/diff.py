@@ -44,6 +44,7 @@ class Tolerance:
         """Differences between the values of a variable, if any, in a sentence."""
         if x.shape != y.shape:
             return [f"`{name}` has {counted(x.size, 'value')} and {y.size:,}"]
+
         kinds = x.dtype.kind, y.dtype.kind
         if kinds == ("f", "f"):
             return self.describe(name, x, y, self.difference(name, x, y, size))
@@ -51,6 +52,7 @@ class Tolerance:
         if "O" in kinds:
             x = x.astype(str)
             y = y.astype(str)
+
         unequal = np.count_nonzero(x != y)
         return [f"`{name}`: {unequal:,} of {x.size:,} differ"] if unequal else []
 
@@ -70,6 +72,7 @@ class Tolerance:
             size = np.ones(x.shape)
         elif size is None:
             size = np.maximum(np.abs(x), np.abs(y))
+
         over = np.where(x == y, 0.0, np.abs(x - y) / size)
 
         is_absent = np.isnan(x) | np.isnan(y)
@@ -89,10 +92,12 @@ class Tolerance:
         if beyond:
             unit = "" if self._is_absolute(name) else " of their size"
             by.append(f"by up to {np.nanmax(difference):.2g}{unit}")
+
         if absent:
             by.append(f"{absent:,} absent in one")
         if not by:
             return []
+
         return [f"`{name}`: {absent + beyond:,} of {x.size:,} differ, {', '.join(by)}"]
 
     def _is_absolute(self, name: str) -> bool:
@@ -210,6 +215,7 @@ class _Comparison:
         if prefix:
             x = _opened(left, x)
             y = _opened(right, y)
+
         yield from self._of_coordinates(x, y, prefix)
 
         rows = _matching_rows(x, y, self.grids)
@@ -262,6 +268,7 @@ class _Comparison:
         path = f"{prefix}{name}"
         if set(x.dims) != set(y.dims):
             return [f"`{path}` has other dimensions"]
+
         units = [variable.attrs.get("units") for variable in (x, y)]
         if units[0] != units[1]:
             return [f"`{path}` is in {units[0]} and in {units[1]}"]
@@ -279,6 +286,7 @@ class _Comparison:
         if name == "reason":
             one = _sentences(groups[0])[one]
             other = _sentences(groups[1])[other]
+
         return self.tolerance.compare(path, one, other, size)
 
     def _of_numbers(
@@ -296,6 +304,7 @@ class _Comparison:
         if self.keep:
             units = str(first.attrs.get("units", ""))
             self.keep(Numbers(name, units, first, second, first.copy(data=over)))
+
         return self.tolerance.describe(name, x, y, over)
 
 
@@ -318,6 +327,7 @@ def _aligned(
     one, other, *sizes = (part.transpose(*x.dims) for part in aligned)
     if not sizes:
         return one, other, None
+
     of_one, of_other = (size.values for size in sizes)
     return one, other, np.atleast_1d(np.fmax(of_one, of_other))
 
@@ -366,6 +376,7 @@ def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
     for pair, n in zip(pairs.T.tolist(), counts, strict=True):
         was, now = (STATUS_NAMES.get(number, number) for number in pair)
         sentences.append(f"`status`: {n:,} were {was} and are {now}")
+
     return sentences
 
 
@@ -392,6 +403,7 @@ def _matching_rows(
     )
     if not np.array_equal(p, q):
         return rows
+
     return _rows(x, shared, along), _rows(y, shared, along)
 
 
@@ -413,4 +425,5 @@ def _rows(
         # Stable: rows of one line, or of one slope of it, stay as its task has written
         # them.
         rows = rows.sort_values(order, kind="stable")
+
     return np.asarray(rows.index)

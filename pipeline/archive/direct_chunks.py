@@ -47,6 +47,7 @@ def direct_chunks(
         if name not in variables:
             variables[name] = _ID(call("H5Dopen2", file, name.encode(), _ID(0)))
             stack.callback(call, "H5Dclose", variables[name])
+
         offset, size = (
             (ctypes.c_uint64 * len(corner))(*corner),
             ctypes.c_size_t(len(data)),

@@ -42,6 +42,7 @@ def write(file: Any, study: Study) -> None:
         for key, owners in check["varied"].items():
             if axes.keys() & owners:
                 moved.add(key)
+
     names = study.names if study.walker_axis else ()
     put(file, exact_offsets(moved, tables, names))
 
@@ -92,6 +93,7 @@ def exact_offsets(
     """
     if {*varying} & {*dispatch.resolve("gaitsweep.tasks.walkers.statics:CONDITIONED")}:
         return {}
+
     walker, exact = (
         dispatch.resolve(f"gaitsweep.tasks.walkers.{name}")
         for name in ("walker:Walker", "exact:exact_offsets")
@@ -99,10 +101,12 @@ def exact_offsets(
     found = [exact(walker(**table)) for table in tables]
     if not any(found):
         return {}
+
     about = found[0]
     if names:
         pairs = zip(names, found, strict=True)
         about = {name: offsets for name, offsets in pairs if offsets}
+
     return {"exact_offsets": json.dumps(about)}
 
 
@@ -145,9 +149,11 @@ def _write_one(
     if across:
         moving = {axis: axes[axis] for axis in across}
         values = np.array([_on_grid(w, key, moving) for w in study.walkers])
+
     if not sizes:
         put(file, {key: float(values.ravel()[0])})
         return
+
     about = described(key, study.checks, bool(across))
     on_axes = values.reshape(list(sizes.values()))
     write_variable(file, key, tuple(sizes), on_axes, about)

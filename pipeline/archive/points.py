@@ -84,6 +84,7 @@ class PointWriter:
             head = self.plan.store.chunk(key)
         else:
             head = Head.parse(self._record(chunk, key).head)
+
         rows, sentences = head.rows(self.columns), head.sentences(self.columns)
         self.written.counts += count(rows, STATUS_NAMES)
         self._is_solved |= np.isin(list(rows), OF_GAITS).any(axis=0)
@@ -114,11 +115,13 @@ class PointWriter:
         """Record of a chunk; of one that is not stored, why it is not."""
         if key in self.plan.store:
             return self.plan.store.get(key)
+
         atlas = None
         if len(chunk.numbers) == 1:
             atlas = self.plan.outcome_of_line(int(chunk.numbers[0]))
         if atlas is None or atlas.status == "ok":
             return self._unfinished(chunk.shape, "not_attempted", NOT_ATTEMPTED)
+
         return self._unfinished(chunk.shape, atlas.status, of_atlas(atlas.reason))
 
     def _pack_ending(self, shape: Shape, ending: str, reason: str) -> Record:
@@ -145,6 +148,7 @@ class PointWriter:
             write_variable(
                 file, "multiplier", ("multiplier",), numbers, attributes.MULTIPLIER
             )
+
         for name in names:
             description = VARIABLES[name]
             variable = file.createVariable(
@@ -182,6 +186,7 @@ class PointWriter:
                 with self.plan.store.reading():
                     head, payload = Head.parse(record.head), memoryview(record.payload)
                     pieces = self._pieces(chunk.shape, head, payload)
+
                 for (name, g), piece in pieces.items():
                     corner = (*start, g, *(0 for _ in inner_sizes(name, 0, 0)))
                     archived = self.study.archived(name)
@@ -211,6 +216,7 @@ class PointWriter:
                 pieces[name, g] = head.piece(payload, name, column) or self._same(
                     name, shape.sizes
                 )
+
         return pieces
 
     def _pack_same(self, name: str, sizes: tuple[int, ...]) -> Packed:
@@ -233,4 +239,5 @@ def _quantization(variable: Variable, accuracy: float) -> dict[str, Any]:
         or variable.name.endswith("error_bound")
     ):
         return {}
+
     return {"significant_digits": bits, "quantize_mode": "BitRound"}

@@ -124,6 +124,7 @@ def check_same_study(path: Path, study: Study) -> None:
     record = stored(path)
     if not record:
         return
+
     kind, walkers = record["table"].get("kind", "grid"), record["walkers"]
     own = [check["table"] for check in study.checks]
     if kind != study.kind:
@@ -137,6 +138,7 @@ def check_same_study(path: Path, study: Study) -> None:
         difference = f"its walker has {next(changes)}"
     else:
         return
+
     raise ArchiveError(
         f"{path} holds another study: {difference}; give this one another name, or replace that with --fresh."
     )
@@ -177,6 +179,7 @@ def code_digest(folder: str = "tasks") -> str:
         without_docstrings = "".join(file.read_text(encoding="utf-8").split('"""')[::2])
         text = re.sub(r"#[^\n]*", "", without_docstrings)
         digest.update(" ".join(text.split()).encode())
+
     return digest.hexdigest()
 
 
@@ -200,6 +203,7 @@ def cpu_features() -> list[str]:
         ).split()
     except (OSError, StopIteration):
         flags = []
+
     return [platform.machine(), *(f for f in _FEATURES if f in flags)]
 
 
@@ -215,6 +219,7 @@ def commit(root: Path = _ROOT) -> str:
     git = root / ".git"
     if not git.exists() or shutil.which("git") is None:
         return ""
+
     # The tree is named, as an installed package may lie within another one.
     asked = ["git", f"--git-dir={git}", "rev-parse", "--verify", "--quiet", "HEAD"]
     answer = subprocess.run(
@@ -223,4 +228,5 @@ def commit(root: Path = _ROOT) -> str:
     is_answer = answer.returncode in (0, 1, _FATAL)
     if not is_answer or "memory" in answer.stderr:
         raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM), "git")
+
     return answer.stdout.strip()

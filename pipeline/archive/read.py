@@ -86,6 +86,7 @@ def size_of(path: Path) -> int:
             raise ArchiveError(
                 f"{path} is a study or a walker; an archive NAME.nc is wanted."
             )
+
         open(path, "rb").close()
     except (FileNotFoundError, NotADirectoryError, ValueError):
         near = default_archive(path.name)
@@ -93,6 +94,7 @@ def size_of(path: Path) -> int:
         raise ArchiveError(f"There is no archive {path}{hint}") from None
     except OSError as error:
         raise unread(path, error) from error
+
     return status.st_size
 
 
@@ -118,6 +120,7 @@ def open_archive(path: Path) -> Iterator[Any]:
         raise ArchiveError(
             f"The netCDF library opens no file of such a name as {path}; name it from its own folder."
         )
+
     # It imports h5py, which takes longer than most commands.
     from gaitsweep.pipeline.archive import objects
 
@@ -129,6 +132,7 @@ def open_archive(path: Path) -> Iterator[Any]:
     except (OSError, RuntimeError, ValueError) as error:
         _check_limits(path)
         raise ArchiveError(f"{path} is no netCDF file that can be read.") from error
+
     with blamed_if_damaged(path):
         try:
             schema = getattr(file, "gaitsweep_schema", None)
@@ -227,11 +231,13 @@ def _checksum(variable: Any) -> int:
     """Checksum of a variable."""
     if not is_over_grid(variable):
         return layout.checksum(np.ma.getdata(variable[...])) % 2**32
+
     pieces = (
         layout.split(np.ma.getdata(variable[box]), box, _chunk(variable))
         for box in boxes(variable)
     )
     parts = itertools.chain.from_iterable(pieces)
+
     return (
         sum(
             layout.chunk_checksum(zlib.crc32(part.tobytes()), corner)
@@ -286,6 +292,7 @@ def probe(
         with contextlib.suppress(ArchiveError, WorkerError):
             _probe(paths, meanwhile)
             return
+
     for path in paths:
         _probe([path], meanwhile)
 
@@ -313,12 +320,14 @@ def _probe(paths: list[Path], meanwhile: Callable[[], object] = lambda: None) ->
         raise WorkerError(
             f"{path} cannot be tried in another process: {error.strerror}."
         ) from error
+
     with process:
         meanwhile()
     code = process.returncode
     if code < 0:
         what = "hangs" if code == -signal.SIGXCPU else "crashes"
         raise ArchiveError(f"{path} is damaged: the netCDF library {what} on it.")
+
     if code:
         raise WorkerError(
             f"{path} cannot be tried in another process: that ended with {code}."
@@ -359,11 +368,13 @@ def check_replaceable(path: Path) -> None:
         return
     except OSError:
         pass  # which is said below
+
     size_of(path)
     with open(path, "rb") as file:
         beginning = file.read(_HEADER)
     if beginning.startswith(_MAGIC) and b"gaitsweep_schema" in beginning:
         return
+
     try:
         probe([path])
         with open_archive(path):

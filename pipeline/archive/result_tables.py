@@ -50,6 +50,7 @@ def write(file: Any, plan: Plan) -> None:
         arrays = map(np.array, columns)
         tables = dict(zip(names, arrays, strict=True))
         _group(file, plan, "failed_tasks", tables)
+
     if plan.study.overlay:
         _group(file, plan, "overlay", dict(plan.study.overlay))
 
@@ -85,6 +86,7 @@ def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
             keys = _charts(plan)
         else:
             keys = (key for _, key, _ in _task_runs(plan, name, layer.per_line))
+
         for key in keys:
             ending = plan.store.outcome(key)
             if ending and ending.status != "ok":
@@ -110,6 +112,7 @@ def _task_runs(
     if not per_line:
         yield {}, plan.graph.study_keys[name], np.zeros(0, int)
         return
+
     for i in range(plan.study.batches):
         numbers = plan.study.batch(i)
         line = plan.study.batch_line(i)
@@ -148,9 +151,11 @@ def split(table: Mapping[str, np.ndarray]) -> dict[str, Columns]:
         ):
             raise ValueError(f"`{name}` is no column of a table")
         groups.setdefault(group, {})[column] = values
+
     for group, columns in groups.items():
         if len({len(v) for v in columns.values()}) > 1:
             raise ValueError(f"columns of `{group}` differ in length")
+
     return groups
 
 
@@ -180,6 +185,7 @@ def _stack(parts: Sequence[Columns]) -> Columns:
             missing = np.full(rows, nothing)
             columns.append(part.get(name, missing))
         stacked[name] = np.concatenate(columns)
+
     return stacked
 
 
@@ -188,6 +194,7 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
     if inner and {plan.study.along, *inner} <= set(columns):
         _Arrays(file, plan, group, columns).write()
         return
+
     netcdf_group = file.createGroup(group)
     netcdf_group.createDimension("row", len(next(iter(columns.values()))))
     for name, values in columns.items():
@@ -195,6 +202,7 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
         if values.dtype.kind == "U":
             write_strings(netcdf_group, name, "row", values.tolist(), attributes)
             continue
+
         options = {
             "fill_value": np.nan if values.dtype.kind == "f" else False,
             **layout.filters(len(values)),
@@ -312,6 +320,7 @@ def _cases(
         found = np.searchsorted(known[dim], columns[dim], sorter=order)
         places.append(order[found])
         sizes.append(len(known[dim]))
+
     return sizes, np.ravel_multi_index(places, sizes)
 
 
@@ -372,10 +381,12 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
             **measured,
             "long_name": f"standard error of the measured {measured['long_name']}",
         }
+
     if group == "measured_gaits" and name.endswith("_error"):
         computed = _attributes(plan, group, name.removesuffix("_error"))
         meaning = computed["long_name"]
         return {**computed, "long_name": f"bound on the error of the {meaning}"}
+
     study = plan.study
     kind, meaning = meaning_of(name, group)
     if name == "detuning":
@@ -387,6 +398,7 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
         key = _keys_of_values(study).get(name)
         if key:
             attributes["units"] = units.axis_units(key, study.checks)
+
     return attributes
 
 

@@ -79,18 +79,21 @@ def _attributes(file: Any) -> Iterator[str]:
     for name in _ATTRIBUTES:
         if not isinstance(getattr(file, name, None), str):
             yield f"The attribute `{name}` is missing."
+
     for name in ("provenance", "checksums"):
         try:
             if not isinstance(json.loads(getattr(file, name)), dict):
                 raise ValueError
         except (AttributeError, TypeError, ValueError, RecursionError):
             yield f"`{name}` is not JSON."
+
     if getattr(file, "kind", "grid") not in ("grid", *TASKS):
         yield "`kind` is no kind of study."
     for name, (kinds, low, high) in _RANGES.items():
         value = np.asarray(getattr(file, name, low))
         if value.ndim or value.dtype.kind not in kinds or not low <= value <= high:
             yield f"The attribute `{name}` is no number that it may be."
+
     for name in (*_required(file), "reason_text"):
         if name not in file.variables:
             yield f"`{name}` is missing."
@@ -101,6 +104,7 @@ def _origins(file: Any) -> Iterator[str]:
     for name, kind in _ORIGIN.items():
         if not isinstance(record.get(name, kind()), kind):
             yield f"`{name}` in `provenance` is no {_WORDS[kind]}."
+
     toml.read(record["study"])
     if not record["walkers"]:
         yield "`provenance` holds no walker."
@@ -140,6 +144,7 @@ def _coordinates(file: Any) -> Iterator[str]:
         is_parameter = path == name and "gait" not in variable.dimensions
         if not (is_coordinate or (is_number and (is_parameter or name in axes))):
             continue
+
         values = np.ma.getdata(variable[...])
         if (
             is_number and not np.isfinite(values).all() and name not in tuned
@@ -168,6 +173,7 @@ def _dimensions(file: Any) -> Iterator[str]:
             {order.index(d) for d in variable.dimensions}
         ):
             yield f"`{name}` has its dimensions in another order."
+
     for name in file.dimensions:
         if (
             name not in file.variables
@@ -186,6 +192,7 @@ def _types(file: Any) -> Iterator[str]:
         about = VARIABLES.get(name)
         if not about or name in file.dimensions:
             continue
+
         dims = (
             (*(d for d in grid if d != "gait"), *about.dims) if "gait" in grid else grid
         )
@@ -194,11 +201,13 @@ def _types(file: Any) -> Iterator[str]:
             or np.dtype(variable.dtype).kind != np.dtype(about.dtype).kind
         ):
             yield f"`{name}` has another type or other dimensions."
+
         flags = _FLAGS.get(name)
         if flags and len(np.atleast_1d(getattr(variable, flags))) != len(
             variable.flag_meanings.split()
         ):
             yield f"The flags of `{name}` have other meanings."
+
     sentences = file.variables["reason_text"]
     if (
         layout.dims(sentences) != ("reason_index",)
@@ -219,12 +228,14 @@ def _states(file: Any) -> Iterator[str]:
     for status in _parts(file.variables["status"]):
         unknown += int(np.count_nonzero(~np.isin(status, list(ALL_STATUSES.values()))))
         left += int(np.count_nonzero(status == ALL_STATUSES["not_attempted"]))
+
     for reason in _parts(file.variables["reason"]):
         outside += int(
             np.count_nonzero(
                 (reason < 0) | (reason >= len(file.dimensions["reason_index"]))
             )
         )
+
     if unknown:
         yield "`status` holds values without a meaning."
     if outside:

@@ -66,6 +66,7 @@ def table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
         for name, variable in variables.items():
             words[str(name)] = str(variable.attrs.get(attribute, ""))
         frame.attrs[what] = words
+
     return frame
 
 
@@ -87,6 +88,7 @@ def _unfolded(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
         if words:
             codes = np.where(values < len(words), values, -1)
             frame[name] = pd.Categorical.from_codes(codes, words)
+
     return frame[~empty].reset_index(drop=True)
 
 
@@ -108,6 +110,7 @@ def _frame(
         values = f"{dim}_values"
         if values in frame:
             frame[dim] = frame.pop(values)
+
     return frame
 
 

@@ -56,6 +56,7 @@ def _out_of_place(file: Any) -> Iterator[str]:
             or not read.is_over_grid(variable)
         ):
             continue
+
         for box in read.boxes(variable):
             values, other = (
                 np.ma.getdata(variable[box]),
@@ -65,6 +66,7 @@ def _out_of_place(file: Any) -> Iterator[str]:
             impossible += int(
                 np.count_nonzero(_is_impossible(description, values[~other]))
             )
+
         if misplaced:
             yield f"`{name}` has {misplaced:,} values where nothing converged."
         if impossible:

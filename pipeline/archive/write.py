@@ -72,10 +72,12 @@ def update(plan: Plan, path: Path) -> Written:
         if noted and noted == [results, _checksum(path)]:
             counts, failures, examples = contents
             return Written(Counter(counts), Counter(failures), examples)
+
     written = write(plan, path)
     if (checksum := _checksum(path)) is not None:
         contents = [written.counts, written.failures, written.examples]
         plan.store.set_note("archive", json.dumps([results, checksum, contents]))
+
     return written
 
 
@@ -125,9 +127,11 @@ def write(plan: Plan, path: Path) -> Written:
             ) from error
         if cause:
             raise unwritten(path, cause) from error
+
         raise ArchiveError(f"{path} cannot be written: {error}.") from error
     finally:
         paths.discard(target)
+
     return written
 
 
@@ -144,6 +148,7 @@ def check_path(path: Path) -> None:
         raise ArchiveError(
             f"{path} cannot be written: the netCDF library opens no file of such a name."
         )
+
     try:
         paths.of(target).touch()
     except OSError as error:
@@ -166,6 +171,7 @@ def _write(plan: Plan, draft: Path) -> Written:
         writer.define(file)
         result_tables.write(file, plan)
         wanted = _described(file)
+
     writer.fill(draft)
     with read.open_netcdf(draft, "a") as file:
         wanted["attributes"] |= _write_checksums(file, writer)
@@ -174,6 +180,7 @@ def _write(plan: Plan, draft: Path) -> Written:
         if _described(file) != wanted:
             raise RuntimeError("it does not read back")
         file.variables["status"][(-1,) * len(writer.dims)]
+
     return writer.written
 
 
@@ -225,6 +232,7 @@ def _write_header(file: Any, plan: Plan, writer: "PointWriter | _LineWriter") ->
             _write_walkers(file, study)
         else:
             _write_axis(file, study, name)
+
     parameters.write(file, study)
 
     texts = writer.sentences.texts
@@ -277,6 +285,7 @@ def _write_checksums(file: Any, writer: "PointWriter | _LineWriter") -> dict[str
     modulo = {name: n % 2**32 for name, n in {**checksums, **sums}.items()}
     about["checksums"] = json.dumps(modulo, sort_keys=True)
     attributes.put(file, about)
+
     return {
         name: value
         for name, value in _attributes(file).items()
@@ -326,6 +335,7 @@ class _LineWriter:
         for name in (self.study.kind,) if is_known else ("atlas", self.study.kind):
             if name not in keys:
                 continue
+
             outcome = self.plan.store.outcome(keys[name])
             if outcome is None:
                 return "not_attempted", NOT_ATTEMPTED
@@ -333,10 +343,12 @@ class _LineWriter:
                 is_atlas = name == "atlas"
                 reason = of_atlas(outcome.reason) if is_atlas else outcome.reason
                 return outcome.status, reason
+
         result = self.plan.store.result(keys[self.study.kind])
         with self.plan.store.reading():
             for reason in (result or {}).get("nothing/reason", ()):
                 return "no_gait", str(reason)
+
         return "converged", "The line was followed; its results are in the groups."
 
     def define(self, file: Any) -> None:

@@ -45,6 +45,7 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps({"summary": frame.attrs["summary"], "rows": rows}))
     else:
         print("\n".join(_lines(frame)))
+
     return int(not frame["is_gait"].all())
 
 
@@ -70,9 +71,11 @@ def _lines(frame: pd.DataFrame) -> Iterator[str]:
                 f"Nearest: {row['gait']}, {row['distance']:.2g} away, relative;"
             )
             words.append("stable." if row["stable"] else "unstable.")
+
         if math.isfinite(row["missed"]):
             words.append(f"Misses itself by {row['missed']:.2g}.")
         yield " ".join(words)
+
     if len(frame) > _MOST:
         yield f"{len(frame) - _MOST:,} more rows are in --json."
 

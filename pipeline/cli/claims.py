@@ -36,10 +36,12 @@ def run(options: argparse.Namespace) -> int:
         raise StudyError(
             f"There is no claim {unknown[0]!r}; there are {', '.join(CLAIMS)}."
         )
+
     results = _results(name for name in CLAIMS if not ids or name in ids)
     if options.json:
         print(json.dumps(list(results)))
         return 0
+
     for claim in results:
         print("\n".join(_lines(claim)), flush=True)
     return 0
@@ -62,6 +64,7 @@ def _results(ids: Iterable[str]) -> Iterator[dict[str, Any]]:
             terminal.say(
                 f"Claims are read from {path}; `run --fresh` of its study computes them again."
             )
+
         if path and name in tables[path]:
             yield tables[path][name]
         else:
@@ -83,6 +86,7 @@ def _claims_of(path: Path) -> list[str]:
             return [
                 name for name in record["table"]["want"]["claims"] if name in CLAIMS
             ]
+
     return []
 
 
@@ -96,6 +100,7 @@ def _table(path: Path) -> dict[str, dict[str, Any]]:
     except ArchiveError as error:
         terminal.say(f"gaitsweep: {error}")
         return {}
+
     claims = {}
     for row in rows:
         claims[row["id"]] = {k: None if v != v else v for k, v in row.items()}
@@ -112,6 +117,7 @@ def _lines(claim: dict[str, Any]) -> Iterator[str]:
         half = claim["printed_half_unit"]
         margin = f" +- {half:.2g}" if half else ""
         yield f"  printed     {claim['printed_value']:.6g}{margin}"
+
     if claim["value"] is not None:
         allowed = ""
         if claim["interval"]:

@@ -39,6 +39,7 @@ class _Parser(argparse.ArgumentParser):
                     [option for option in known if option.startswith("--")],
                     "option",
                 )
+
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
@@ -99,12 +100,15 @@ def parser(wanted: Iterable[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
                         _SHARED[options] if isinstance(options, str) else options
                     ),
                 )
+
             if "epilog" in about:
                 command.epilog = resolve(about["epilog"])()
                 command.formatter_class = argparse.RawDescriptionHelpFormatter
+
             command.set_defaults(
                 run=resolve(f"gaitsweep.pipeline.cli.{name}:run"), top=parser
             )
+
     return top
 
 
@@ -137,6 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         finally:
             # Here: a failure to print could not be reported at interpreter exit.
             sys.stdout.flush()
+
     return codes[-1]
 
 

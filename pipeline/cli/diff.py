@@ -27,6 +27,7 @@ def run(options: argparse.Namespace) -> int:
         archives = options.a, options.b
         text = diff_page.page(archives, summary, differences, compared)
         paths.publish_page(options.page, "diff", text)
+
     return 1 if differences else 0
 
 
@@ -39,4 +40,5 @@ def _summary(count: int, tolerances: Mapping[str, float]) -> str:
     limits = ", ".join(said)
     if not count:
         return f"They agree within {limits}."
+
     return f"Differences beyond {limits}: {count}."

@@ -93,6 +93,7 @@ def _content(
     shown = film.poses(motion, body, moments)
     if options.strip:
         return film.strip(body, shown, options.slope, ending)
+
     words = f"{options.walker}, {options.gait} step, γ = {options.slope:g} rad"
     return film.film(body, shown, options.slope, words, end, ending, _RATE)
 
@@ -105,9 +106,11 @@ def _moments(
     """
     if options.strip:
         return np.linspace(0, lengths.sum(), _POSES * len(lengths) + 1)
+
     second = 1.0 if is_si else math.sqrt(1 / 9.81)  # legs of 1 m
     count = max(2, round(float(lengths.sum()) * second * options.slow * _RATE) + 1)
     if count > _MAX_FRAMES:
         frames = f"The film would have {count:,} frames, more than {_MAX_FRAMES:,}"
         raise StudyError(f"{frames}: show fewer steps, or faster.")
+
     return np.linspace(0, lengths.sum(), count)

@@ -102,6 +102,7 @@ def setting(text: str) -> tuple[str, float | bool | str]:
         )
     if value in ("true", "false"):
         return key, value == "true"
+
     return key, number(value, key)
 
 

@@ -44,6 +44,7 @@ def run(options: argparse.Namespace) -> int:
         except GaitsweepError as error:
             codes.append(say(error, options.debug))
             continue
+
         records.append(_record(planned, counts, path))
         described += lines(planned, counts, path)
 
@@ -109,6 +110,7 @@ def _idle(study: Study) -> Iterator[str]:
     if "heatmap" in study.figures and len(wide) < 2:
         over = f"only {wide[0]} has" if wide else "none has"
         yield f"`heatmap` needs two axes of several values, but {over}; it is not drawn."
+
     keys = [name for name in wide if name not in ("slope", "walker")]
     if "over_key" in study.figures and not keys:
         yield "`over_key` needs an axis of a key with several values; it is not drawn."
@@ -147,6 +149,7 @@ def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
         name: {**todo, "cached": counts.cached[name]}
         for name, todo in counts.todo.items()
     }
+
     return {
         "study": study.name,
         "archive": str(path),
@@ -179,4 +182,5 @@ def _omitted(planned: Plan) -> list[str]:
         if not variable.is_left_out(features):
             is_partly = variable.group in wanted
             names.append(variable.name if is_partly else variable.group)
+
     return [*dict.fromkeys(names), *tasks]

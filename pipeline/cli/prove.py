@@ -53,10 +53,12 @@ def run(options: argparse.Namespace) -> int:
         gaits.append(gait)
         if not options.json:
             print(_shown(gait), flush=True)
+
     if not gaits:
         search = "\n".join(answer["search"])
         why = answer["others"] or search or "The archive holds no gait."
         print(why, file=sys.stderr)
+
     if options.json:
         print(json.dumps(gaits))
     return 0 if gaits and all(gait["proved"] for gait in gaits) else 1
@@ -69,6 +71,7 @@ def _check(options: argparse.Namespace) -> None:
         raise StudyError(
             "Prove either the gaits of an archive, or those of a `--walker` on a `--slope`."
         )
+
     foreign, whose = ["sample"], "an archive"
     if of_archive:
         foreign, whose = ["set", "gait"], "a `--walker`"
@@ -135,6 +138,7 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
             raise ArchiveError(
                 f"{path} holds no gaits to prove: with knees it needs kneestrike_time, which it has not."
             )
+
         dims = file["status"].dimensions
         coordinates = {dim: file[dim][...].tolist() for dim in dims}
         if not np.isfinite(np.array(coordinates["slope"], float)).all():
@@ -180,6 +184,7 @@ def _check_gaits(file: Any, path: Path) -> None:
     if missing or "gait" not in file.dimensions:
         lacking = missing[0] if missing else "gait"
         raise ArchiveError(f"{path} holds no gaits to prove: it has no {lacking}.")
+
     if "steps" in file.ncattrs():
         raise ArchiveError(
             f"{path} holds gaits of {file.steps} steps; proofs are of gaits of one step."
@@ -208,6 +213,7 @@ def _walkers(
             raise ValueError
     except (ValueError, LookupError, TypeError) as error:
         raise ArchiveError(f"{path} does not say which walker it is of.") from error
+
     return walkers, varied
 
 
@@ -237,6 +243,7 @@ def _shown(proof: Mapping[str, Any]) -> str:
     stable = _STABILITY[proof["stable"]]
     middle, radius = proof["box"]["stance_angle"]
     events = ", then ".join(_EVENTS.get(event, event) for event in proof["events"])
+
     return (
         f"{head}: proved, {stable}. Stance angle {middle} +- {radius} rad, in a box of relative radius"
         f" {proof['radius']:.1e} that holds exactly one gait; {events} ({proof['bits']} bits)."

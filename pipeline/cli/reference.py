@@ -24,6 +24,7 @@ def run(options: argparse.Namespace) -> int:
             f"Gaits of {names} are left out: `{options.convention}` has no knees.",
             file=sys.stderr,
         )
+
     if options.json:
         print(json.dumps(rows))
     elif not rows:
@@ -36,6 +37,7 @@ def run(options: argparse.Namespace) -> int:
         table = csv.DictWriter(sys.stdout, list(rows[0]), lineterminator="\n")
         table.writeheader()
         table.writerows(rows)
+
     return 0
 
 
@@ -73,6 +75,7 @@ def gaits(
         if table["knees"] and convention != "gaitsweep":
             left_out.append(name)
             continue
+
         entries = [
             entry
             for entry in reference["entries"]
@@ -81,6 +84,7 @@ def gaits(
         asked = {"convention": convention, "walker": table, "gaits": entries}
         for entry, written in zip(entries, ask("written_in", asked), strict=True):
             rows.append({column: entry[column] for column in _FIRST} | written)
+
     return rows, left_out
 
 

@@ -26,6 +26,7 @@ def run(options: argparse.Namespace) -> int:
 
         if not webbrowser.open(index.resolve().as_uri()):
             terminal.say("gaitsweep: No browser could be opened.")
+
     return 0
 
 

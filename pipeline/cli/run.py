@@ -29,6 +29,7 @@ def run(options: argparse.Namespace) -> int:
         unfinished = [path for path in options.studies if path in stopped]
         for line in _after(finished, unfinished, time.monotonic() - start):
             terminal.say(line)
+
     return gravest([*(end.code for end in ends), *invalid.values()])
 
 
@@ -49,7 +50,9 @@ def _after(
         if unfinished:
             count = f"{count} of {studies}"
             parts.append(f"not run to the end: {', '.join(map(str, unfinished))}")
+
         yield f"{count} studies in {terminal.duration(seconds)}: {'; '.join(parts)}"
+
     if archives:
         shown = " ".join(shlex.quote(str(path)) for path in archives)
         if len(archives) > 1 and len({path.parent for path in archives}) == 1:

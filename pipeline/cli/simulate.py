@@ -37,11 +37,13 @@ def run(options: argparse.Namespace) -> int:
     """
     if options.state and options.gait:
         raise StudyError("Steps begin either at a `--state` or at a `--gait`.")
+
     pushes: dict[Any, list[float]] = {}
     for step, *change in options.push:
         if step in pushes:
             raise StudyError(f"`--push` is given twice for step {step:g}.")
         pushes[int(step) if step.is_integer() else step] = change
+
     if options.csv:
         _check_file(options.csv)
     walker, keys = led(options.walker, options.set)
@@ -57,6 +59,7 @@ def run(options: argparse.Namespace) -> int:
         raise StudyError(
             "`--dt`, `--samples`, `--limits` and `--degrees` need `--csv`."
         )
+
     kinds.show(
         options,
         {name: _plain(values) for name, values in found.variables.items()},
@@ -95,6 +98,7 @@ def _write_series(
             if name.startswith(("theta", "rate")):
                 frame[name] = np.degrees(frame[name])
                 units[name] = units[name].replace("rad", "deg")
+
     _check_file(options.csv)
     paths.publish_for_user(options.csv, csv_text(frame, units).encode())
 
@@ -129,4 +133,5 @@ def _lines(found: xr.Dataset) -> Iterator[str]:
         yield "  ".join(
             f"{cell:>{len(head)}}" for cell, head in zip(cells, heads, strict=True)
         ).rstrip()
+
     yield str(found.reason.item())

@@ -45,6 +45,7 @@ def run(options: argparse.Namespace) -> int:
         accuracy, limits = options.accuracy, options.limit
         chosen = options.all, options.steps, accuracy, limits, options.tuned
         answer = solve(options.walker, slope, options.set, *chosen)
+
     for line in answer.get("search", []):
         terminal.say(line)
     if options.degrees and answer.get("search"):
@@ -55,6 +56,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         lines = _lines(answer["gaits"], answer["units"], options)
         print("\n".join([*lines, *answer["absent"]]) or "no gait")
+
     return int(any(gait["status"] != "converged" for gait in answer["gaits"]))
 
 
@@ -71,6 +73,7 @@ def _slope(options: argparse.Namespace) -> float | None:
     """The slope that is asked for [rad]."""
     if options.slope is None or not options.degrees:
         return options.slope
+
     slope = math.radians(options.slope)
     if not (slopes.is_slope(slope) or slopes.is_level(slope)):
         low, high = map(math.degrees, SLOPES)
@@ -78,6 +81,7 @@ def _slope(options: argparse.Namespace) -> float | None:
         if slope <= 0:
             bound += f", or in (-{high:.4g}, 0]"
         raise StudyError(f"`slope` {bound}; got {options.slope:g}.")
+
     return slope
 
 
@@ -105,6 +109,7 @@ def _lines(
         for key, value in rows.items():
             yield f"  {key:<{width}} {_told(key, value, units.get(key, '1'), options)}"
         has_others = has_others or str(gait["gait"]).startswith("other")
+
     if has_others:
         yield "Of several gaits under one label that of the largest stance angle has it; others are other1, other2, ..."
 
@@ -119,6 +124,7 @@ def _rows(gait: dict[str, Any], options: argparse.Namespace) -> dict[str, Any]:
     if options.all_variables:
         shown = set(gait)
     shown -= _IN_ITS_TITLE
+
     return {
         key: value for key, value in gait.items() if value is not None and key in shown
     }

@@ -46,6 +46,7 @@ def read(
 
     if not studies and not invalid:
         raise StudyError("All of these files hold walkers, and none a study.")
+
     return studies, invalid
 
 
@@ -75,6 +76,7 @@ def targets(
         if path in by_archive:
             raise StudyError(f"Two studies are called {study.name}.")
         by_archive[path] = study
+
     return [(study, path) for path, study in by_archive.items()], invalid
 
 
@@ -101,17 +103,21 @@ def archives(names: Sequence[Path], debug: bool) -> tuple[list[Path], list[int]]
             error = StudyError(f"{missing}, and no record of its run.")
             codes.append(say(error, debug))
             continue
+
         inside = [name] if is_archive else _in_folder(name)
         found |= dict.fromkeys(inside)
         if inside and not any(name.glob("*.toml")):
             continue
+
         try:
             studies, invalid = read(files.studies(name), debug)
         except Exception as error:
             codes.append(say(error, debug))
             continue
+
         found |= dict.fromkeys(default_archive(study.name) for study in studies)
         codes += invalid.values()
+
     return list(found), codes
 
 

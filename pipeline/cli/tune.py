@@ -32,4 +32,5 @@ def _lines(answer: dict[str, Any]) -> Iterator[str]:
     for name, before in answer["before"].items():
         after = or_zero(answer["after"][name])
         yield f"# {name.replace('_', ' ')}: {or_zero(before):.3g} before, {after:.3g} after"
+
     yield from table("walker", answer["walker"])

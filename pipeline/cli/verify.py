@@ -19,6 +19,7 @@ def run(options: argparse.Namespace) -> int:
         except GaitsweepError as error:
             codes.append(say(error, options.debug))
             continue
+
         codes.append(int(bool(problems)))
         records.append(
             {"archive": str(archive), "valid": not problems, "problems": problems}
@@ -28,6 +29,7 @@ def run(options: argparse.Namespace) -> int:
     if records:
         alone = records[0] if len(options.archives) == 1 else records
         kinds.show(options, alone, lines)
+
     return gravest(codes)
 
 

@@ -43,6 +43,7 @@ def _lines(descriptions: Iterable[dict[str, Any]], in_full: bool) -> Iterator[st
         if not in_full:
             yield f"{walker['name']:<21} {walker['description']}"
             continue
+
         yield f"{walker['name']}: {walker['description']}"
         yield walker["drawing"]
         yield from table("walker", walker["parameters"])

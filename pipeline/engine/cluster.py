@@ -69,12 +69,14 @@ def connect(address: str, check: Callable[[], None] = _never) -> Iterator[Any]:
         raise StudyError(
             f"`--cluster` must be tcp://HOST:PORT or local:N, N from 1 to 999; got {address}."
         )
+
     try:
         import distributed
     except ImportError as error:
         raise StudyError(
             '`--cluster` needs the extra "cluster": pip install "gaitsweep[cluster]".'
         ) from error
+
     _silence_loggers()
     if address.startswith(("tls:", "wss:")) and not _has_certificates():
         # Without them a client hangs on closing.
@@ -96,6 +98,7 @@ def connect(address: str, check: Callable[[], None] = _never) -> Iterator[Any]:
             _patiently(lambda: client.wait_for_workers(1, timeout=_TIMEOUT), check)
         except (OSError, TimeoutError, RuntimeError) as error:
             raise _no_cluster(address, bool(local), error) from error
+
         yield client
 
 
@@ -128,6 +131,7 @@ def _no_cluster(address: str, is_local: bool, error: Exception) -> Exception:
         return WorkerError(
             f"The workers of {address} cannot be started: {described(error)}."
         )
+
     return WorkerError(f"No cluster with a worker answers at {address}.")
 
 
@@ -159,6 +163,7 @@ def _in_process(n: int) -> Iterator[Any]:
             scheduler={"cls": Scheduler, "options": shared},
             silence_logs=logging.CRITICAL,
         )
+
     with cluster:
         yield cluster
 
@@ -183,6 +188,7 @@ def _patiently(
         if futures.wait([answer], _LOOK).done:
             return answer.result()
         check()
+
     return None
 
 
@@ -232,6 +238,7 @@ class Team:
         """
         if time.monotonic() - self._counted < RECOUNT:
             return ""
+
         threads = _patiently(self.client.nthreads, self.check, _ANSWER)
         self._counted = time.monotonic()
         if threads:
@@ -244,6 +251,7 @@ class Team:
             raise WorkerError(f"The cluster has had no worker for {PATIENCE:g} s.")
         if self._is_told:
             return ""
+
         self._is_told = True
         return f"The cluster has no worker; the run waits {PATIENCE:g} s for one."
 
@@ -329,6 +337,7 @@ class Cluster:
         with self._pending.thread_condition:
             if not self._pending.has_ready():
                 self._pending.thread_condition.wait(timeout)
+
         self.team.check()
         for future, answer in self._pending.next_batch(block=False):
             if future.status == "error":

@@ -76,6 +76,7 @@ class Display:
             if waiting:
                 eta = state["eta"] + waiting * self._seconds_of_one(state, len(now))
                 state |= {"points": self.points, "eta": eta, "overdue": False}
+
             return state
 
     def _seconds_of_one(self, state: dict[str, Any], running: int) -> float:
@@ -98,6 +99,7 @@ class Display:
                 last_log = clock
                 for study in list(self.open):
                     study.log_state()
+
             if not self.quiet and clock - last_shown >= interval:
                 last_shown = clock
                 self._show()

@@ -42,10 +42,12 @@ def _of_task(request: Request, ask: Ask) -> Answer:
     status, result = ask(request, *_EXTERNAL)
     if status != "ok":
         return Answer(status, result)
+
     (data,) = result
     if len(data) > MAX_PAYLOAD:
         size = f"Its result of {size_of(len(data))}"
         return Answer("raised", f"{size} is larger than a journal can hold.")
+
     return Answer(data=data)
 
 
@@ -77,6 +79,7 @@ def _of_part(
     if lines * slopes <= (request.most or math.inf):
         again = ("timed_out", *_EXTERNAL) if is_point else ()
         outcome, parts = ask(request, *again)
+
     if outcome == "ok":
         return _of_whole(parts, places)
     if is_point:
@@ -90,6 +93,7 @@ def _of_part(
     else:
         assert request.most
         sizes = _at_most(request.most, lines, slopes, has_atlases)
+
     return _divided(request, places, sizes, ask)
 
 
@@ -129,6 +133,7 @@ def _divided(
         found.append(decode(record))
         rows.append((some[:, None] * len(slopes) + at).ravel())
         atlases += atlases_of_part
+
     order = np.argsort(np.concatenate(rows))
     return codec.encode(joined(found).take(order)), atlases
 
@@ -179,6 +184,7 @@ def _alone(request: Request, place: int, ask: Ask) -> tuple[Record, list[AtlasAn
             len(params["slope"]), outcome, of_atlas(result), params["want"]
         )
         return request.codec.encode(ending), [AtlasAnswer(place, outcome, result, b"")]
+
     of_points = replace(
         request, function=points, params={**params, "line": line}, inputs=result
     )

@@ -29,6 +29,7 @@ class Engine:
             with Workers(self.jobs, say) as workers:
                 yield workers
             return
+
         from gaitsweep.pipeline.engine import cluster
 
         with cluster.connect(self.address, self.check) as client:

@@ -49,6 +49,7 @@ def lock_archive(path: Path) -> Iterator[None]:
             raise ArchiveError(
                 f"{path} cannot be locked: its disk has no locks; choose another folder."
             ) from error
+
         for file_path in (path.resolve(), companions.journal, companions.record):
             paths.discard(file_path, _holder(file).get("drafts"))
         file.seek(0)
@@ -72,11 +73,13 @@ def holder(path: Path) -> dict[str, Any] | None:
     lock = Companions(path).lock
     if not lock.is_file():  # another one might be waited for
         return None
+
     with contextlib.suppress(OSError), open(lock, encoding="utf-8") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except (BlockingIOError, PermissionError):
             return _holder(file)
+
     return None
 
 

@@ -103,12 +103,14 @@ class Loop:
             for work in ready:
                 if place.has_room():
                     self._submit(place, work)
+
         recorded = 0
         if self._running:
             for ticket, answer in place.completed(_WAIT):
                 self._record(ticket, answer)
                 recorded += 1
                 self.check()
+
         self._open_and_close()
         return recorded
 
@@ -137,6 +139,7 @@ class Loop:
             work.fail(error)
             work.put_back(node)
             return
+
         job = Job([(work, node)])
         self._running[place.submit(request)] = job
         if node.is_of_line:
@@ -154,6 +157,7 @@ class Loop:
                 work.copy(of_other, answer)
             else:
                 work.put_back(of_other)
+
         if self._are_several and node.is_of_line and answer.status == "ok":
             self._found.put(node.key, Record(b"", answer.data))
             self._found.trim()
@@ -186,11 +190,13 @@ class Loop:
         message = described(error)
         if losses > _MAX_RETRIES:
             raise WorkerError(f"Workers cannot be kept alive: {message}.") from error
+
         self._say("error", message)
         time.sleep(losses)
         for job in self._running.values():
             for work, node in job.owners:
                 work.put_back(node)
+
         self._running.clear()
         self._by_key.clear()
 

@@ -103,6 +103,7 @@ def _computed_together(requests: list[Request]) -> list[Answer]:
     """
     if len(requests) < 2:
         return []
+
     lines = [request.params["line"] for request in requests]
     is_level = all(request.params.get("level") for request in requests)
     params = {"lines": lines, "slope": np.empty(0), "want": (), "level": is_level}
@@ -110,6 +111,7 @@ def _computed_together(requests: list[Request]) -> list[Answer]:
         results = dispatch.resolve(requests[0].together)(params, [])
     except Exception:
         return []
+
     return [Answer(data=serialize.dump(dict(atlas))) for atlas, _ in results]
 
 
@@ -138,6 +140,7 @@ class Workers:
             # Joblib has no threads where it cannot make semaphores, though they need
             # none.
             self.slots = int(joblib.effective_n_jobs(jobs))
+
         if self.slots < jobs:
             say("One worker computes at a time: /dev/shm cannot be written.")
         self._tickets = itertools.count()
@@ -161,6 +164,7 @@ class Workers:
             with contextlib.suppress(queue.Empty):
                 while True:
                     self._inbox.get_nowait()
+
         for _number in range(self.slots):
             self._inbox.put(None)
         self._guards.join()

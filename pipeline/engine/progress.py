@@ -83,6 +83,7 @@ class Progress(Listener):
         if done.worker and self.engine.address:
             member = done.worker["host"], done.worker["pid"]
             self.remote_workers[member] = time.monotonic(), done.worker
+
         self.done[node.task] += done.size
         self.done["atlas"] += node.lines
         self.seconds[node.task] += done.seconds
@@ -100,6 +101,7 @@ class Progress(Listener):
                 "chunk", {**said, "pid": done.pid, **more, "counts": done.counts}
             )
             return
+
         more = {"outcome": done.status, "reason": done.reason}
         if node.task == "charts":
             more["charted"] = done.size
@@ -135,6 +137,7 @@ class Progress(Listener):
             for when, worker in list(self.remote_workers.values())
             if time.monotonic() - when < _ANSWERED
         ]
+
         return {
             "elapsed": round(elapsed, 1),
             "points": self.total,
@@ -166,6 +169,7 @@ class Progress(Listener):
             mean = (self.seconds[name] + planned * cost) / (done + planned)
             left = mean * max(0, todo - done) / self.engine.jobs
             stages[name] = {"done": round(done), "todo": todo, "eta": round(left, 1)}
+
         return stages
 
     def _tell(self, event: str, details: dict[str, Any]) -> None:
@@ -197,6 +201,7 @@ def total(states: list[dict[str, Any]]) -> dict[str, Any]:
     for state in states:
         for name, stage in state["stages"].items():
             stages.setdefault(name, Counter()).update(stage)
+
     return {
         **summed,
         "counts": counts,
@@ -222,6 +227,7 @@ def stages(state: dict[str, Any]) -> list[tuple[str, int, int, float]]:
             found.append((_STAGES.get(name, name), done, todo, float(stage["eta"])))
     except (LookupError, TypeError, ValueError, AttributeError):
         return []
+
     return found
 
 
@@ -235,6 +241,7 @@ def sentence(state: dict[str, Any]) -> str:
             f"{done:,} of {state['points']:,} points ({100 * done / state['points']:.0f} %)"
         )
         parts.append(f"{state['rate']:,.0f} a second")
+
     parts += [
         f"{_STAGES.get(name, name)} {stage['done']:,} of {stage['todo']:,}"
         for name, stage in state["stages"].items()
@@ -245,6 +252,7 @@ def sentence(state: dict[str, Any]) -> str:
         parts.append("longer than planned")
     else:
         parts.append(f"{terminal.duration(state['eta'])} to go")
+
     return ", ".join(parts)
 
 
@@ -270,4 +278,5 @@ def last_state(log: Path) -> dict[str, Any] | None:
                         state["over"] = True
     except OSError as error:
         raise unread(log, error) from error
+
     return state

@@ -116,8 +116,10 @@ def run(
             stopped = [study for study in studies if not study.is_over]
             for study in stopped:
                 study.end(error, quietly=study is not stopped[0])
+
     if errors:
         raise errors[0]
+
     return studies
 
 
@@ -140,8 +142,10 @@ def _run(studies: list["StudyRun"], options: Options, signals: Signals) -> None:
                     by_work[work] = study
                     display.begin(study.progress)
                     return work
+
                 if not study.is_over:  # its journal is repaired
                     waiting.append(study)
+
             return None
 
         def finish(work: Work) -> None:
@@ -263,6 +267,7 @@ class StudyRun:
             _warn_of_changed_code(plan, todo, progress)
             snapshots = _Snapshots(plan, self.path, self.options.snapshot, progress)
             return Work(plan, [progress, snapshots], self.options.chunk)
+
         return None
 
     def finish(self, work: Work, engine: Engine, signals: Signals) -> None:
@@ -274,11 +279,13 @@ class StudyRun:
             signals.check()
             if work.error:
                 raise work.error
+
             self._record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
             written = write.update(plan, self.path)
             self.counts = written.counts
             if written.counts["not_attempted"]:  # stored results are missing
                 raise plan.store.damage()
+
             failures = result_tables.failed(plan)
             failed = [
                 f"{name}: {outcome}; {reason}"
@@ -328,6 +335,7 @@ class StudyRun:
         self._repairs += 1
         if self._repairs == _MAX_REPAIRS:
             raise ArchiveError(f"{journal} cannot be repaired; run again with --fresh.")
+
         repair(journal)
         if not self.options.quiet:
             terminal.say(
@@ -341,9 +349,11 @@ class StudyRun:
             system := error if isinstance(error, OSError) else reached_limit(error)
         ):
             error = unwritten(self.path, system)
+
         if error:
             self.code = getattr(error, "exit_code", StudyError.exit_code)
             self._record["error"] = str(error)
+
         if self.is_open:
             self._record |= {
                 "exit_code": self.code,
@@ -355,6 +365,7 @@ class StudyRun:
             except OSError as failure:
                 if not error:  # one line is enough, and this error matters less
                     terminal.say(f"gaitsweep: {unwritten(record, failure)}")
+
         self.is_open, self.is_over = False, True
         self._resources.close()
         if error and not quietly:
@@ -376,6 +387,7 @@ def _warn_of_changed_code(plan: Plan, todo: Summary, progress: Progress) -> None
             "The code of `tasks` has changed since some of these results were stored, its versions have not; "
             "if numbers may change, increase the task's version or run with --fresh."
         )
+
     plan.store.set_note("code", digest)
     plan.set_notes()
 
@@ -391,6 +403,7 @@ class _Snapshots(Listener):
         """Publish the archive, if it is time."""
         if not done.node.chunk or time.monotonic() < self.next:
             return
+
         began = time.monotonic()
         # A partial archive does not replace a complete one.
         if read.not_attempted(self.path) != 0:
@@ -400,6 +413,7 @@ class _Snapshots(Listener):
                 self.progress.say(
                     f"The archive is not published before the end: {error}"
                 )
+
         ended = time.monotonic()
         self.next = ended + max(self.every, _SNAPSHOT_PAUSE * (ended - began))
 
@@ -426,6 +440,7 @@ def _summarise(
         progress.say(
             f"  ... and {len(written.failures) - _MAX_REASONS:,} more reasons: see reason_text in the archive"
         )
+
     for sentence in failed:
         progress.say(f"  {sentence}")
 

@@ -79,8 +79,10 @@ class Work:
             if node.key not in self._to_come and node.key not in self._failed:
                 self._to_come.update(self._results(node))
                 return node
+
         if self._is_last or self._to_come:
             return None
+
         self._source, self._is_last = self.plan.over_study(), True
         return self._drawn()
 
@@ -97,6 +99,7 @@ class Work:
         if failed:
             self._drop(node, self._failed[failed])
             return
+
         needs = [*node.needs, *self._charts_of(node)]
         awaited = next((need for need in needs if need in self._to_come), None)
         if awaited is None:
@@ -116,6 +119,7 @@ class Work:
         """
         if not node.lines or not node.chunk:
             return []
+
         known = []
         for charts in self.plan.charts_of(node.chunk):
             known.append(charts.key)
@@ -123,6 +127,7 @@ class Work:
             if not is_known and self.plan.is_missing(charts.key):
                 self._to_come.add(charts.key)
                 self._offer(charts)
+
         return known
 
     def _release(self, key: str, status: str) -> None:
@@ -175,6 +180,7 @@ class Work:
             # many.
             alone = None
             most = most and max(most, PLANE_POINTS[0])
+
         return Request(
             graph.function(node),
             graph.params(node),
@@ -217,6 +223,7 @@ class Work:
         if node.is_of_study:
             yield from study_inputs(self.plan, node.task)
             return
+
         store = self.plan.store
         for need in (*node.needs, *self._charts_of(node)):
             outcome = store.outcome(need)
@@ -261,6 +268,7 @@ class Work:
             key = graph.line_keys(line)["atlas"]
             store.put_result(key, Outcome(atlas.status, atlas.reason), atlas.data)
             self._release(key, atlas.status)
+
         store.put(node.key, answer.record)
         self._release(node.key, "ok")
         rows = Head.parse(answer.record.head).rows(self.plan.columns)

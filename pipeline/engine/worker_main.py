@@ -37,6 +37,7 @@ def serve(parent: int, number: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if os.getppid() != parent:
         return
+
     os.set_inheritable(number, False)
     connection = Connection(number)
     from gaitsweep.pipeline import serialize
@@ -48,6 +49,7 @@ def serve(parent: int, number: int) -> None:
             request = connection.recv()
         except EOFError:
             return
+
         idle = request.idle
         try:  # what goes wrong here is no result of the task
             function = resolve(request.function)
@@ -149,6 +151,7 @@ def packed(
 
     if codec is None:
         return [serialize.dump(returned)]
+
     from gaitsweep.pipeline.store.points import Points
 
     record = codec.encode(Points.of_task(returned, params))

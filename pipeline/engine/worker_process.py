@@ -46,6 +46,7 @@ class WorkerProcess:
     def __init__(self) -> None:
         if _is_closing:
             raise WorkerError("The run is being stopped.")
+
         environment = {
             **os.environ,
             **dict.fromkeys(_THREADS, "1"),
@@ -73,6 +74,7 @@ class WorkerProcess:
             )
         finally:
             end.close()
+
         # Processor time of the last request, and that in integrators [s].
         self.used = (0.0, 0.0)
         _workers.add(self)
@@ -113,8 +115,10 @@ class WorkerProcess:
             if _is_closing:
                 raise WorkerError("The run is being stopped.") from None
             return "worker_died", self._death()
+
         if outcome == "out_of_memory":
             return too_much
+
         return outcome, parts if outcome == "ok" else f"It raised {parts}."
 
     def _answer(self, seconds: float, memory: int | None = None) -> Any:
@@ -122,6 +126,7 @@ class WorkerProcess:
         while not self._connection.poll(min(_POLL_INTERVAL, max(0.0, seconds))):
             if _is_closing:
                 raise WorkerError("The run is being stopped.")
+
             # A late check means that this process was suspended, and the worker with
             # it.
             clock = time.monotonic()
@@ -130,12 +135,14 @@ class WorkerProcess:
                 raise TimeoutError
             if memory is not None and resident(self.process.pid) > memory:
                 raise MemoryError
+
         return self._connection.recv()
 
     def _death(self) -> str:
         with contextlib.suppress(subprocess.TimeoutExpired):
             # Wait for its own exit code instead of that of our signal.
             self.process.wait(5)
+
         code = self.close()
         cause = (
             f"of {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
@@ -199,6 +206,7 @@ def _ask(request: Request, *again: str) -> tuple[str, Any]:
         _local.used = [a + b for a, b in zip(_local.used, worker.used, strict=True)]
         if outcome not in attempt:
             break
+
     return outcome, parts
 
 

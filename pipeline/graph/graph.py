@@ -147,6 +147,7 @@ class Graph:
                 params = layers.line_params(self.study, self.method, name, line)
                 inputs = [keys[need] for need in layer.needs]
                 keys[name] = task_key(layer.task, params, inputs)
+
         return keys
 
     def chunk_key(self, chunk: Chunk) -> str:
@@ -177,6 +178,7 @@ class Graph:
         if self.method is Method.PLANE and study.plane:
             params["plane"] = study.plane.region
             inputs.append("charts")
+
         tasks = [self.layers[name].task for name in inputs]
         if self.method is Method.TARGETS:
             tasks.append(TASKS["targets"])
@@ -188,6 +190,7 @@ class Graph:
         """Key of every task over the study."""
         if not self.study_tasks:
             return {}
+
         chunks = (self.chunk_key(self.grid.chunk(k)) for k in range(self.grid.chunks))
         lines = (
             self.line_keys(i)[name]
@@ -204,6 +207,7 @@ class Graph:
                 inputs = [keys[need] for need in layer.needs if need in keys]
                 read = [below, *self.study.gaits, *inputs]
             keys[name] = task_key(layer.task, params, read)
+
         return keys
 
     def node(self, name: str, line: int | None = None) -> Node:
@@ -236,6 +240,7 @@ class Graph:
         """
         if self.method is not Method.PLANE or not self.study.plane:
             return
+
         number, plane = int(chunk.numbers[0]), self.study.plane
         left = [self.node("charts", number)]
         for node in left:  # which grows
@@ -293,6 +298,7 @@ class Graph:
         if node.line is not None:
             line = study.line(node.line)
             return {**layers.line_params(study, method, "points", line), **shared}
+
         params: dict[str, Any] = {
             "lines": study.lines_at(chunk.numbers),
             "atlases": "atlas" in self.line_tasks,

@@ -54,6 +54,7 @@ def layers(study: Study, method: Method) -> dict[str, Layer]:
         for read in READS.get(name, ()):
             if read in TASKS:
                 add(read, _over_lines(read))
+
     for name in study.fits:
         add(name, False)
     if study.overlay:
@@ -67,6 +68,7 @@ def layers(study: Study, method: Method) -> dict[str, Layer]:
             add(name, True)
         read = (own, *TASKS[own].needs, *others)
         needed["claims"] = Layer(TASKS["claims"], False, read)
+
     return needed
 
 
@@ -94,6 +96,7 @@ def point_params(study: Study, method: Method) -> dict[str, Any]:
     if study.accuracy:
         given["accuracy"] = study.accuracy
         given["interpolated"] = method is Method.INTERPOLATED
+
     names = variables(study)
     if any(VARIABLES[name].group == SENSITIVITIES for name in names):
         given["charted"] = is_charted(study, method)
@@ -136,10 +139,12 @@ def line_params(
         named = isinstance(line["walker"], str) and not line["set"]
         slopes = np.array(LOSS_WINDOWS.get(line["walker"], ()) if named else (), float)
         return {"line": line, "slope": slopes, "gaits": GAITS}
+
     along = {"along": study.drive} if study.drive else {}
     if name == "branch":
         window = {**_window(study), "n": len(study.values_along)}
         return {"line": line, **along, **window, **study.options}
+
     params = {"line": line, **along, "slope": study.values_along, "gaits": study.gaits}
     if name != "trace":  # `steps` may be those of orbits
         params |= study.options
@@ -156,6 +161,7 @@ def _atlas_params(
         few = {"coarse": True} if method.is_coarse else {}
         steps = {"steps": study.steps} if study.steps > 1 else {}
         return {"line": line, "along": study.drive, **few, **steps}
+
     params: dict[str, Any] = {
         "line": line if "drive" in study.features else _without_g(line),
         "coarse": method.is_coarse,
@@ -163,6 +169,7 @@ def _atlas_params(
     if (study.values_along <= 0).all():
         # What drives walkers there, branches over slope do not tell.
         params["level"] = True
+
     if study.steps > 1:
         params["steps"] = study.steps
     return params
@@ -189,6 +196,7 @@ def _charts_params(
         is_driven = "drive" in study.features
         own = of_plane if is_driven else _without_g(of_plane)
         return {"line": own, **plane, "want": ()}
+
     wanted = {"want": variables(study), "accuracy": study.accuracy}
     return {"line": of_plane, **plane, **wanted}
 
@@ -210,6 +218,7 @@ def study_params(study: Study, name: str) -> dict[str, Any]:
     """Parameters of a task over the whole study."""
     if name == "measured":
         return _measured_params(study)
+
     lines = enumerate(study.lines_at(np.arange(study.lines)))
     params: dict[str, Any] = {
         "lines": [{**line, "name": study.name_of(number)} for number, line in lines]

@@ -82,6 +82,7 @@ class Plan:
                 if charts.key not in planned:
                     planned.add(charts.key)
                     yield from self._if_missing(charts)
+
             if node:
                 yield node
             if graph.line_tasks:
@@ -102,6 +103,7 @@ class Plan:
         for name in graph.line_tasks:
             if name != "atlas":
                 missing += self._if_missing(graph.node(name, number))
+
         if not graph.method.is_of_lines and graph.grid.chunks:
             chunks = graph.grid.chunks_of_line(number)
             for k in golden_ratio_order(len(chunks)):
@@ -135,9 +137,11 @@ class Plan:
                 if has_failed and plane and which == "alone":
                     return [charts.box or plane.region]
                 return []
+
             self._boxes[key] = {
                 name: boxes(arrays, name) for name in ("halves", "alone")
             }
+
         return self._boxes[key][which]
 
     def is_missing(self, key: str) -> bool:
@@ -170,6 +174,7 @@ class Plan:
             version = layer.task.version
             if before.get(name, version) != version or changed & {*layer.needs}:
                 changed.add(name)
+
         return changed | ({"points"} if "charts" in changed else set())
 
     def set_notes(self) -> None:
@@ -192,11 +197,13 @@ class Plan:
         node = self.graph.chunk_node(chunk)
         if node.key not in self.store:
             return replace(node, why=self._why("points"))
+
         head = self.store.chunk(node.key)
         if not head.holds(self.graph.variables, self.study.gaits):
             return replace(node, why="changed")
         if self.retry and head.has_failed(self.columns):
             return replace(node, why="retried")
+
         return None
 
     def over_study(self) -> Iterator[Node]:
@@ -225,9 +232,11 @@ class Plan:
             latest = max(
                 (number(graph.chunk_key(chunk)) for chunk in chunks), default=0
             )
+
         for need in set(needs) & set(graph.line_tasks):
             keys = (graph.line_keys(i)[need] for i in range(self.study.batches))
             latest = max(latest, *map(number, keys))
+
         for need in set(needs) & graph.study_keys.keys():
             latest = max(latest, number(graph.study_keys[need]))
         return latest
@@ -287,6 +296,7 @@ def _count(plan: Plan, todo: dict[str, Counter[str]]) -> None:
         todo[node.task][node.why] += plan.graph.size(node)
         if node.lines:
             todo["atlas"][node.why] += node.lines
+
     for node in plan.over_study():
         todo[node.task][node.why] += 1
     for name in plan.graph.study_tasks:

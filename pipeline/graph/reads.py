@@ -25,6 +25,7 @@ def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
     needs = graph.layers[name].needs
     if not needs:
         return
+
     per_line = [
         need for need in needs if need != "points" and graph.layers[need].per_line
     ]
@@ -39,6 +40,7 @@ def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
         for need in per_line:
             columns |= store.result(graph.line_keys(number)[need]) or {}
         yield serialize.dump(columns)
+
     for need in needs:
         if not graph.layers[need].per_line:
             yield serialize.dump(store.result(graph.study_keys[need]) or {})
@@ -70,6 +72,7 @@ class _Lines:
             )
             stored = self._chunk(k).values
             parts.append(Points({name: stored[name][rows] for name in self.names}))
+
         values = joined(parts, (len(GAITS), grid.multipliers)).values
         for name in self.names:
             values[name][:, self.others] = VARIABLES[name].absent

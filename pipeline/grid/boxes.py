@@ -43,4 +43,5 @@ def boxes(
     for (name, size), count in zip(chunk.items(), counts, strict=True):
         n, step = sizes[name], size * count
         sides.append([slice(i, min(i + step, n)) for i in range(0, n, step)])
+
     yield from itertools.product(*sides)

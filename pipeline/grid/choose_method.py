@@ -22,6 +22,7 @@ def method_of(study: Study, in_memory: bool = False) -> Method:
         return Method.CYCLES
     if study.claims:
         return Method.LONG
+
     by_charts, by_lines = seconds_over_plane(study)
     return Method.PLANE if by_charts < by_lines else _by_lines(study, in_memory)
 

@@ -63,8 +63,10 @@ def seconds(study: Study, name: str, method: Method) -> float:
         cells = int(study.plane is not None)
         own = _total(study, COSTS["design of a plane" if cells else "design"])
         return own * designs + cells * _total(study, COSTS["plane of designs"])
+
     if name == "atlas":
         return _total(study, COSTS[_atlas_of(study, method)], name)
+
     return _total(study, COSTS.get(name, OTHERS), name)
 
 
@@ -109,11 +111,13 @@ def _of_derivatives(study: Study, method: Method) -> float:
     groups = {VARIABLES[name].group for name in variables(study)}
     if SENSITIVITIES not in groups:
         return 0.0
+
     single = [POINTS["sensitivities"]]
     if "violations" in groups:
         single.append(POINTS["violations differentiated"])
     if not is_charted(study, method):
         return _total(study, single)
+
     sampled = charted_from(span(study)) / len(study.values_along)
     return sampled * _total(study, single) + _total(study, [POINTS["charted"]])
 
@@ -153,6 +157,7 @@ def _total(study: Study, costs: Iterable[Cost], name: str = "") -> float:
     for cost in costs:
         each = cost.straight * (1 - kneed) + cost.kneed * kneed
         total += each * _times(cost, sizes)
+
     return total
 
 

@@ -159,6 +159,7 @@ class Grid:
         for axis in study.axes:
             if study.kind == "grid" or axis.name != study.along:
                 self.sizes[axis.name] = len(axis)
+
         self.line_dims = [name for name in self.sizes if name != study.along]
 
         multipliers = [check["multipliers"] for check in study.checks]

@@ -72,6 +72,7 @@ def column_cells(name: str, frame: pd.DataFrame) -> list[Cell]:
     numbers = column.tolist()
     if name in _KINDS["errors"]:
         return [cell(value, digits=2) for value in numbers]
+
     for pair in _KINDS["pairs"]:
         if name in pair and set(pair) <= set(frame.columns):
             ends = [frame[end].to_numpy() for end in pair]
@@ -84,6 +85,7 @@ def column_cells(name: str, frame: pd.DataFrame) -> list[Cell]:
     decimals = _decimals(column.to_numpy())
     if decimals is None:
         return [cell(value) for value in numbers]
+
     return [_fixed(value, decimals) for value in numbers]
 
 
@@ -116,6 +118,7 @@ def _decimals(values: np.ndarray) -> int | None:
     sizes = np.abs(values[np.isfinite(values) & (values != 0)])
     if not len(sizes):
         return None
+
     smallest = sizes.min()
     largest = sizes.max()
     if smallest < 1e-4 or largest >= 1e6 or largest > 2e3 * smallest:
@@ -125,4 +128,5 @@ def _decimals(values: np.ndarray) -> int | None:
     for decimals in range(7):
         if np.allclose(sizes, np.round(sizes, decimals), rtol=0, atol=1e-12):
             return decimals
+
     return max(0, 5 - int(np.floor(np.log10(largest))))

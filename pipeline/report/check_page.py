@@ -46,6 +46,7 @@ def page(frame: pd.DataFrame, title: str) -> str:
     is_moved = not ordered.index.equals(rows.index)
     note = "States that are no gaits come first." if is_moved else ""
     counts = frame["verdict"].value_counts().rename_axis("verdict").reset_index()
+
     return render_template(
         "check.html",
         title=title,

@@ -53,6 +53,7 @@ def page(
     if drawn:
         with style():
             drawing = render(_sketch(drawn), "diff", "diff", small=False)
+
     table = None
     if differing:
         equal = len(ordered) - len(differing)
@@ -63,6 +64,7 @@ def page(
         table = html_tables.named(
             "diff/variables", rows, is_open=True, where="answer", note=note
         )
+
     return render_template(
         "diff.html",
         title=f"Differences of {first} and {second}",
@@ -110,6 +112,7 @@ def _sketch(compared: Sequence[Numbers]) -> Sketch:
         axes.set_xlabel(spaced(along))
         set_heading(axes, spaced(numbers.name))
         sketch.pieces.append(frame.assign(variable=numbers.name, axis=along))
+
     for axes in sketch.panels[len(compared) :]:
         axes.set_visible(False)
 
@@ -164,6 +167,7 @@ def _along_axis(numbers: Numbers, along: str) -> pd.DataFrame:
         if len(known):
             at = float(values[some[len(some) // 2]])
             rows.append((at, float(known.max()), float(np.median(known))))
+
     return pd.DataFrame(rows, columns=["value", "largest", "median"])
 
 
@@ -193,6 +197,7 @@ def _row(numbers: Numbers) -> dict[str, object]:
         row["first"] = float(numbers.first.values[place])
         row["second"] = float(numbers.second.values[place])
         row["where"] = axis_values(_at(numbers, place))
+
     return row
 
 

@@ -48,12 +48,15 @@ def pictures(extra: Sequence[tuple[str, Any, str]]) -> list[Picture]:
     for number, each in enumerate(extra, start=1):
         if not isinstance(each, Sequence) or len(each) != 3:
             raise _wrong(number, "(title, figure, caption)", each)
+
         title, figure, caption = each
         if not isinstance(title, str) or not isinstance(caption, str):
             raise _wrong(number, "with a title and a caption in words", each)
         if not hasattr(figure, "savefig"):
             raise _wrong(number, "with a figure of matplotlib", figure)
+
         made.append(Picture(f"extra-{number}", title, caption, _address(figure)))
+
     return made
 
 
@@ -71,5 +74,6 @@ def _address(figure: Any) -> str:
             stream = io.BytesIO()
             figure.savefig(stream, format=kind, metadata=undated, dpi=_DPI)
             files[kind] = stream.getvalue()
+
     kind = min(files, key=lambda kind: len(files[kind]))
     return f"data:{_TYPES[kind]};base64,{base64.b64encode(files[kind]).decode()}"

@@ -82,10 +82,12 @@ def combine(
     for _, files in pages.values():
         for name, text in files.items():
             _publish(out / name, text)
+
     for record in report.shown:
         name = f"{record.slug}.html"
         if name in kept:
             texts[name] = (out / name).read_text(encoding="utf-8")
+
     for name, text in texts.items():
         # A study that only feeds the ledger has no page.
         if name not in current or not current[name].text:
@@ -123,6 +125,7 @@ def _write_bundle(out: Path, report: "_Report") -> None:
     for name in names:
         text = (out / f"{name}.html").read_text(encoding="utf-8")
         texts[name] = _bundled(text, names)
+
     template = report.environment.get_template("bundle.html")
     _publish(out / "bundle.html", template.render(texts=texts))
 
@@ -137,7 +140,9 @@ def _bundled(text: str, names: list[str]) -> str:
         r'<script type="application/json" id="entry">.*?</script>',
     ):
         text = re.sub(left, "", text, count=1, flags=re.S)
+
     text = text[: text.rindex("<script>")] + "<script></script>\n</body>\n</html>"
+
     return re.sub(
         r'href="([\w-]+)\.html(#|")',
         lambda m: f'href="?{m[1]}{m[2]}' if m[1] in names else m[0],
@@ -243,11 +248,13 @@ class _Report:
                 for i in (k - 1, k + 1)
             ]
             return str(self.parts.around(*around))
+
         figure = next(
             (figure for figure in record.figures if figure["name"] == name), None
         )
         if figure is None:
             return ""
+
         rows = [self.claims[id] for id in self.figures[record.slug, name]]
         verdicts = [
             (
@@ -294,6 +301,7 @@ def _thumbnails(entries: list[Entry]) -> dict[str, str]:
         room -= len(record.thumbnail)
         if room > 0:
             thumbnails[record.slug] = record.thumbnail
+
     return thumbnails
 
 
@@ -314,6 +322,7 @@ def csv_text(frame: pd.DataFrame, units: Mapping[str, str] | None = None) -> str
         name: frame[name].astype(object).map(_word, na_action="ignore")
         for name in words
     }
+
     return frame.assign(**texts).to_csv(
         index=False, header=[*map(_word, heads)], lineterminator="\n"
     )

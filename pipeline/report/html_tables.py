@@ -188,6 +188,7 @@ def _fit(name: str, frame: pd.DataFrame) -> Table:
         fitted = fitted.replace({"quantity": WORDS["laws"]}).rename(
             columns={"quantity": "law"}
         )
+
     return named(name, fitted, True, note=note, whole=frame)
 
 
@@ -199,6 +200,7 @@ def landmarks(source: Source) -> list[Table]:
     frame = places.within(source, places.every(source, *heads))
     rows = [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)]
     words, gaits = places.note(frame), addresses(source, frame)
+
     return (
         [Table("Paper and computation", list(heads.values()), rows, words, gaits=gaits)]
         if rows
@@ -235,10 +237,12 @@ def _result(source: Source, name: str, frame: pd.DataFrame) -> Table:
     if name == "special_points":
         table = named(name, frame, True)
         return replace(table, gaits=addresses(source, frame.head(len(table.rows))))
+
     if name in ("figure9", "figure10") and "walker" in frame:
         return _transposed(name, frame)
     if name == "figure10_cells":
         return _printed_cells(name, frame)
+
     frame = _of_key(frame)
     # States and bounds of a design's gaits are in the archive and the CSV file.
     begins, ends = ("stance_", "thigh_rate", "shank_rate", "surveyed"), "_error"
@@ -257,6 +261,7 @@ def _of_key(frame: pd.DataFrame) -> pd.DataFrame:
     keys = set(frame["key"]) if {"key", "value"} <= set(frame.columns) else set()
     if len(keys) != 1:
         return frame
+
     (key,) = keys
     rest = frame.drop(columns=["key", str(key)], errors="ignore")
     renamed = rest.rename(columns={"value": str(key)})
@@ -278,6 +283,7 @@ def _transposed(name: str, frame: pd.DataFrame) -> Table:
             for v in frame[column]
         ]
         rows.append([cell(_head(column)), *values])
+
     meanings = ["", *frame.get("description", [""] * len(frame))]
     caption, heads = WORDS["tables"][name]["caption"], ["", *map(str, frame["walker"])]
     return Table(caption, heads, rows, meanings=meanings, most=len(heads), turned=True)
@@ -299,6 +305,7 @@ def _printed_cells(name: str, frame: pd.DataFrame) -> Table:
         own[entry.column].append(
             f"{sign} {where}{entry.printed}\n    computed {computed}"
         )
+
     rows = [
         [cell(walker), *(Cell("\n".join(texts)) for texts in own.values())]
         for walker, own in lines.items()
@@ -314,6 +321,7 @@ def points(source: Source) -> pd.DataFrame:
     grid = source.outcomes
     if "status" not in grid:
         return pd.DataFrame(columns=["status", "reason"])
+
     status = (
         grid["status"] if grid["status"].ndim else grid["status"].expand_dims("study")
     )
@@ -354,6 +362,7 @@ def statuses(source: Source) -> list[tuple[str, int, float]]:
     """
     if "status" not in source.outcomes:
         return []
+
     status = source.outcomes["status"]
     by_gait = (
         status.transpose(..., "gait")
@@ -364,6 +373,7 @@ def statuses(source: Source) -> list[tuple[str, int, float]]:
         count_rows(by_gait.values.reshape(-1, by_gait.sizes["gait"])), source.statuses
     )
     every = dict.fromkeys([*source.statuses.values(), *counts])
+
     return [
         (name, counts[name], counts[name] / counts.total())
         for name in every
@@ -377,6 +387,7 @@ def outcome_sentence(source: Source) -> str:
     total = sum(counts.values())
     if not total:
         return ""
+
     whole = "curve" if source.whole == "line" else "point"
     if "design" in source.tables:
         whole = "design"
@@ -394,12 +405,14 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
     """Outcomes by status and reason: how many gaits or lines, and over which slopes."""
     if "status" not in source.outcomes:
         return None
+
     status = source.outcomes["status"]
     solved, slopes = status.size - len(absent), np.array([])
     if "slope" in status.indexes:
         slopes = status["slope"].values[
             (status == 0).any([d for d in status.dims if d != "slope"]).values
         ]
+
     rows = (
         [[Cell("converged"), Cell(""), cell(solved, True), *_range(slopes)]]
         if solved
@@ -409,6 +422,7 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
     for (status, reason), group in itertools.islice(groups, _MAX_REASONS):
         over = _range(group["slope"].to_numpy() if "slope" in group else np.array([]))
         rows.append([Cell(spaced(status)), Cell(reason), cell(len(group), True), *over])
+
     caption, what = (
         ("Outcomes by gait", "gaits")
         if source.whole == "point"
@@ -419,6 +433,7 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
         if groups.ngroups > _MAX_REASONS
         else ""
     )
+
     return Table(
         caption, ["status", "reason", what, "from γ (rad)", "to γ (rad)"], rows, note
     )
@@ -445,6 +460,7 @@ def failures(absent: pd.DataFrame) -> Table | None:
     failed = absent[~absent["status"].isin(ANSWERS)]
     if failed.empty:
         return None
+
     shown = failed.head(MAX_ROWS)
     more, beyond = min(len(failed), MAX_LISTED) - len(shown), len(failed) - MAX_LISTED
     note = f"{more} more are in the CSV file." if more else ""
@@ -465,6 +481,7 @@ def walkers(source: Source) -> Table | None:
     tables = source.walkers
     if not tables:
         return None
+
     names = dict.fromkeys(axis for axes in source.varied.values() for axis in axes)
     given = {
         axis: _axis_values(source.grid[axis].values)
@@ -504,6 +521,7 @@ def _axis_values(values: np.ndarray) -> Cell:
     """The values of an axis, in one cell."""
     if len(values) == 1:
         return cell(float(values[0]))
+
     shown = [plain(float(v), 6) for v in values]
     return Cell(
         ", ".join(shown)
@@ -525,6 +543,7 @@ def pairs(record: dict[str, Any]) -> list[tuple[str, Cell]]:
             entries.append((spaced(key), Cell(", ".join(words))))
         elif value is not None:
             entries.append((spaced(key), cell(value)))
+
     return entries
 
 

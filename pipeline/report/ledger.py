@@ -37,6 +37,7 @@ def families(
                 shown.setdefault(id, []).append(
                     (title, f"{entry.slug}.html#{figure['name']}")
                 )
+
     rows = [
         _claim(row, shown.get(str(row["id"]), []))
         for entry in entries
@@ -71,6 +72,7 @@ def figures(entries: list[Entry]) -> dict[tuple[str, str], list[str]]:
             places[entry.slug, figure["name"]] = [
                 id for id, of in rows if of == at or id in figure["claims"]
             ]
+
     return places
 
 
@@ -124,6 +126,7 @@ def _claim(row: Mapping[str, Any], shown: list[tuple[str, str]]) -> Claim:
         if not isinstance(computed, str)
         else [part.strip() for part in computed.split(";")]
     )
+
     return {
         "id": str(row["id"]),
         **{name: str(row.get(name, "")) for name in ("quotation", "source", "command")},
@@ -168,6 +171,7 @@ def _bar(row: Mapping[str, Any]) -> dict[str, Any] | None:
     if varies:
         numbers |= {"low": low, "high": high}
         words += f", from {plain(low)} to {plain(high)} by rounding"
+
     if is_printed:
         half = _entry(row, "printed_half_unit")
         half = half if math.isfinite(half) else 0.0
@@ -175,6 +179,7 @@ def _bar(row: Mapping[str, Any]) -> dict[str, Any] | None:
         numbers["printed_from"] = printed - half
         numbers["printed_to"] = printed + half
         words = f"printed {plain(printed)}, {words}"
+
     return {"words": words, "printed": None, **_places(numbers, value)}
 
 
@@ -191,6 +196,7 @@ def _places(numbers: Mapping[str, float], value: float) -> dict[str, float]:
     span = max(most - least, 0.02 * abs(value)) or 1.0
     middle, width = 0.5 * (least + most), 1.16 * span
     left, right = middle - 0.5 * width, middle + 0.5 * width
+
     return {
         name: round(100 * (x - left) / (right - left), 2) for name, x in numbers.items()
     }

@@ -133,6 +133,7 @@ def write(
         raise StudyError(
             f"`extra` has no page: {sources[0].name} only feeds the ledger."
         )
+
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     slugs = _slugs(sources)
@@ -217,6 +218,7 @@ def _in_processes(
     for slug in slugs:
         if slug not in made:
             take(*_timed(called[slug], slug, pictures))
+
     return {slug: made[slug] for slug in slugs}
 
 
@@ -328,12 +330,14 @@ def drawings(source: Source, slug: str) -> tuple[list[Drawing], dict[str, str]]:
                 {name: str(why)} if name in source.figures and name != "claims" else {}
             )
             continue
+
         drawn.append(
             replace(
                 drawing,
                 title=paper.words(source).get(name, {}).get("title", drawing.title),
             )
         )
+
     return drawn, undrawn
 
 
@@ -382,6 +386,7 @@ def _share_states(drawings: list[Drawing]) -> list[list[float]]:
         target["starts"] = [
             places.setdefault(tuple(start), len(places)) for start in target["starts"]
         ]
+
     return [list(state) for state in places]
 
 
@@ -394,6 +399,7 @@ def _slugs(sources: list[Source]) -> list[str]:
             k += 1
             slug = f"{source.slug}-{k}"
         taken.append(slug)
+
     return taken
 
 
@@ -411,6 +417,7 @@ def _origin(source: Source) -> str:
         parts.append(
             f"{account['workers_cpu']:.2g} s CPU, {jobs} worker{'' if jobs == 1 else 's'}"
         )
+
     return ", ".join(parts)
 
 

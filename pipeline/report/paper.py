@@ -38,6 +38,7 @@ def finding(study: str, figure: str, claims: Mapping[str, Mapping[str, Any]]) ->
         for name, verdict in told.get("if", {}).items()
     ):
         return ""
+
     try:
         return fill(
             told.get("finding", ""),
@@ -71,4 +72,5 @@ def _numbers(row: Mapping[str, Any]) -> dict[str, Any]:
         found[f"{name}_printed"] = as_printed(
             printed, row.get("printed_half_unit") or 0.0
         )
+
     return {k: v for k, v in found.items() if v is not None}

@@ -51,6 +51,7 @@ def rows_at(
             if isinstance(value, str)
             else np.isclose(own, value, rtol=tolerance, atol=0)
         ]
+
     return frame
 
 
@@ -323,6 +324,7 @@ class Source:
                     {axis: at[axis] for axis in axes}, method="nearest"
                 )
                 table[key] = float(near) if near.ndim == 0 else table.get(key)
+
         return table
 
     def moved(self, at: Mapping[str, Any], key: str, axes: Sequence[str]) -> np.ndarray:
@@ -394,6 +396,7 @@ class Source:
             units = str(self.grid[variable].attrs.get("units", ""))
         elif variable == self.along:
             units = self._units_of_tables.get(variable, "")
+
         if not units and variable in ("slope", "stance_angle"):
             units = "rad"
         return print_units(units)
@@ -458,12 +461,14 @@ class Source:
                 if settable
                 else (self.file, overrides)
             )
+
         words = ["gaitsweep", "solve", "--walker", walker]
         for key, value in overrides.items():
             words += [
                 "--set",
                 f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}",
             ]
+
         return shlex.join([*words, *self._words_of_all])
 
     @property
@@ -477,6 +482,7 @@ class Source:
                 "--set",
                 f"toward={self.toward if isinstance(self.toward, str) else toml.written(self.toward)}",
             ]
+
         words += [
             word
             for key in self.given("options", "tuned") or ()
@@ -496,6 +502,7 @@ class Source:
             return str(at["walker"]) if at["walker"] in names else ""
         if changed == ["foot_mass_ratio"]:
             return self._of_ratios.get(float(at["foot_mass_ratio"]), "")
+
         return ""
 
     @cached_property
@@ -601,6 +608,7 @@ class Source:
             )
             line = Line(at, label, self.command(at), rows, called=self.called(at))
             lines.append(line)
+
         return lines
 
     def line_columns(self, table: pd.DataFrame) -> list[str]:
@@ -630,6 +638,7 @@ def read(path: Path) -> Source:
             name: table(dataset(file[name], **_AS_STORED).load(), grid)
             for name in layout.tables(file)
         }
+
     with archives.blamed_if_damaged(path):
         provenance = json.loads(grid.attrs["provenance"])
         study = toml.read(provenance["study"])
@@ -642,6 +651,7 @@ def read(path: Path) -> Source:
                 and set(frame["walker"]) == {"walker"}
             ):
                 frame["walker"] = source.walker
+
     return source
 
 

@@ -32,11 +32,13 @@ def plain(value: float, digits: int = 4) -> str:
     """A number as it is written in print: 0.0153, 1.2 × 10⁻⁶, −3."""
     if not np.isfinite(value):
         return {np.inf: "∞", -np.inf: "−∞"}.get(float(value), "–")
+
     text = f"{value + 0.0:.{digits}g}"  # adding zero turns −0 into 0
     mantissa, _, exponent = text.partition("e")
     if exponent:
         power = superscript(int(exponent))
         text = f"10{power}" if mantissa == "1" else f"{mantissa} × 10{power}"
+
     return text.replace("-", "−")
 
 

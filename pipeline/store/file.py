@@ -74,6 +74,7 @@ def connect(
         if new and path:  # half of a store is none
             _remove(path)
         raise
+
     return db
 
 
@@ -86,6 +87,7 @@ def _opened(path: Path | None, write: bool) -> sqlite3.Connection:
     }
     if not path:
         return sqlite3.connect(":memory:", **options)
+
     may_write = not path.exists() or os.access(path, os.W_OK)
     if write and not may_write:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
@@ -145,15 +147,19 @@ def is_ours(path: Path) -> bool:
         paths.check_own(
             path.with_name(path.name + suffix), b"" if is_there else beginning
         )
+
     if not is_there:
         return False
+
     with open(path, "rb") as file:
         file.seek(68)
         mark = int.from_bytes(file.read(4), "big")
+
     if mark != _APPLICATION_ID:
         raise ArchiveError(
             f"{path} is not a journal of this version of gaitsweep; move it away."
         )
+
     return True
 
 
@@ -193,11 +199,14 @@ def repair(path: Path) -> None:
             for pragma in _OF_DAMAGED:
                 with contextlib.suppress(sqlite3.DatabaseError):
                     old.execute(f"PRAGMA {pragma}")
+
             for row in _readable(old):
                 new.execute(
                     "INSERT OR IGNORE INTO records VALUES (?, ?, ?, ?, ?, ?)", row
                 )
+
             new.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
         _remove(path, "-wal", "-shm")
         os.replace(draft, path)
     except (sqlite3.Error, OSError) as error:
@@ -216,6 +225,7 @@ def _readable(db: sqlite3.Connection) -> Iterator[tuple[Any, ...]]:
                 gap = 0
                 if is_whole(row):
                     yield row
+
         if gap == _MAX_GAP:  # as records leave that were stored anew
             with contextlib.suppress(*_UNREADABLE):
                 for (found,) in db.execute(
@@ -223,6 +233,7 @@ def _readable(db: sqlite3.Connection) -> Iterator[tuple[Any, ...]]:
                 ):
                     if found > number:
                         number, gap = found - 1, 0
+
         number += 1
 
 
@@ -253,6 +264,7 @@ def raise_for(error: Exception, path: Path) -> NoReturn:
     """
     if isinstance(error, sqlite3.ProgrammingError):
         raise error
+
     code = getattr(error, "sqlite_errorcode", 0)
     # SQLite also reports a full disk as an input or output error, as it does a folder
     # in place of its log.
@@ -270,4 +282,5 @@ def raise_for(error: Exception, path: Path) -> NoReturn:
         raise unwritten(path, cause) from error
     if is_of_system or code & 0xFF in _NOT_THE_FILE:
         raise ArchiveError(f"{path} cannot be used: {error}.") from error
+
     raise CorruptStoreError(path) from error

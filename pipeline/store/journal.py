@@ -44,6 +44,7 @@ class Journal(Store):
             self._db = file.connect(there, write, not exists)
         except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
             file.raise_for(error, path)
+
         try:
             self._last = self._index()
         except BaseException:
@@ -131,6 +132,7 @@ class Journal(Store):
                 expected, _ = file.sums(number, key, head, b"")
                 if expected == head_sum:
                     return head
+
         raise self.damage()
 
     def get(self, key: str) -> Record:

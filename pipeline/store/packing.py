@@ -146,6 +146,7 @@ def unpack(data: bytes | memoryview, dtype: str, extent: tuple[int, ...]) -> nda
         unpacked = np.frombuffer(zlib.decompress(data), np.uint8)
     except zlib.error as error:
         raise ValueError(f"not a packed chunk: {error}") from error
+
     n = len(unpacked) // size
     planes = unpacked[: n * size].reshape(size, n)
     values = np.ascontiguousarray(planes.T).reshape(-1)
@@ -168,6 +169,7 @@ def _compressible_planes(planes: ndarray) -> list[bool]:
     for lag in _LAGS if length > _LAGS[-1] else ():
         is_repeated = sample == planes[:, lag : last + lag : _SAMPLING]
         compressible |= np.mean(is_repeated, axis=1) > _MIN_REPETITION
+
     return compressible.tolist()
 
 

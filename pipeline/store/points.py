@@ -73,6 +73,7 @@ class Points:
         count = lines * len(params["slope"])
         if len(points) != count:
             raise ValueError(f"{len(points)} points are returned of {count}")
+
         return points
 
     @classmethod
@@ -140,6 +141,7 @@ def joined(parts: Sequence[Points], least: tuple[int, int] = (0, 0)) -> Points:
         shape = tuple(map(max, sizes))
         wide = [widened(name, array, shape) for array in arrays]
         values[name] = np.concatenate(wide) if len(wide) > 1 else wide[0]
+
     return Points(values, sentences)
 
 

@@ -103,6 +103,7 @@ class ChunkCodec:
         extent = _extent(name, self.shape, self.multipliers, self.keys)
         if not self.is_archived:
             return [Packed(array[:, gait].tobytes(), 0) for gait in range(columns)]
+
         values = (self.shape.unfold(array[:, gait]) for gait in range(columns))
         return [pack_values(of_gait, extent) for of_gait in values]
 
@@ -115,6 +116,7 @@ def _counted(points: Points) -> dict[str, ndarray]:
     numbers = np.array(sorted(points.sentences), REASON)
     sentences = [points.sentences[number] for number in numbers.tolist()]
     used = [np.isin(numbers, column) for column in points.values["reason"].T]
+
     return {
         "rows": np.array(list(rows)),
         "of_row": np.array(list(rows.values())),
@@ -194,6 +196,7 @@ class Head:
             head["checksums"].tolist(),
             strict=True,
         )
+
         return Head(
             Shape.of(*head["shape"]),
             head["multipliers"],
@@ -259,8 +262,10 @@ class Head:
             else:
                 values = np.frombuffer(piece.data, dtype).reshape(points, *more)
             columns.append(values)
+
         if columns:
             return np.stack(columns, axis=1)
+
         return np.empty((points, 0, *more), dtype)
 
 

@@ -53,6 +53,7 @@ def read(
     """
     if not isinstance(value, dict) or not value:
         raise location.error("A study needs axes, at least `slope`")
+
     _check_names(value, location, at or {})
     if at and at["vary"] == "slope":
         return tuple(_axis(name, value[name], location) for name in value), {}
@@ -77,15 +78,18 @@ def _check_names(
         raise location.at(vary).error(
             f"`{vary}` is varied until gaits have the value of `at`, and can be no axis"
         )
+
     for key in ("units", "trailing_knee"):
         if key in value:
             raise location.error(
                 f"`{key}` holds a text and is no axis: it stands in the table of a walker"
             )
+
     known = (*axis_names(), *([at["measure"]] if at else []))
     for key in value:
         if key not in known and (why := ask("why_no_key", {"key": key})):
             raise location.error(f"`{clip(str(key))}` is no axis: {why}")
+
     location.check_names(value, known, "key")
 
 
@@ -111,6 +115,7 @@ def _adaptive(axis: dict[str, Any], location: Location) -> tuple[float, dict[str
             "`adaptive` chooses as many points as its tolerance needs: leave out either "
             f"`n` or `adaptive`; got n = {axis['n']!r} and adaptive = {axis['adaptive']!r}"
         )
+
     location.check_names(axis, ("from", "to", "adaptive"), "key")
     tolerance = value_of(RANGE, "adaptive", axis, location)
     window = {key: value for key, value in axis.items() if key != "adaptive"}
@@ -141,6 +146,7 @@ def _spaced(value: dict[str, Any], location: Location) -> np.ndarray:
     for key in ("from", "to", "n"):
         if key not in value:
             raise location.error(f"`{key}` is missing")
+
     start = value_of(RANGE, "from", value, location)
     stop = value_of(RANGE, "to", value, location)
     n = value_of(RANGE, "n", value, location)
@@ -158,6 +164,7 @@ def _spaced(value: dict[str, Any], location: Location) -> np.ndarray:
         raise location.at("n").wrong(
             "is too large: neighbouring values would be equal", n
         )
+
     return values
 
 
@@ -175,4 +182,5 @@ def _linear(start: float, stop: float, n: int) -> np.ndarray:
             # Whole numbers over a power of ten that are both exact: the quotient is the
             # double nearest the decimal.
             return np.rint(values * unit) / unit if largest < 2**53 else values
+
     return values

@@ -138,6 +138,7 @@ def broadcast(
     for name, value in values.items():
         if not isinstance(value, xr.DataArray):
             plain[name] = _numbers(name, value)
+
     shape = _shape_of_all(plain)
     named = {name: _named(name, v, shape) for name, v in {**values, **plain}.items()}
 
@@ -157,6 +158,7 @@ def broadcast(
             raise StudyError(
                 f"`{name}` is the name of a dimension, along which it does not vary alone."
             )
+
     return arrays, tuple(grid)
 
 
@@ -182,8 +184,10 @@ def _numbers(name: str, value: object) -> np.ndarray:
     except (ValueError, TypeError):
         # Rows of different lengths, objects of other packages.
         array = np.empty(0, object)
+
     if array.dtype.kind not in kinds:
         raise StudyError(f"`{name}` must be {wanted}; got {_kind(value)}.")
+
     return array if name == "knees" else array.astype(float, copy=False)
 
 
@@ -199,8 +203,10 @@ def _named(
                 f"`{name}` has a dimension or coordinate `{clash[0]}`, a name that results use."
             )
         return value.copy(data=_numbers(name, value.values))
+
     first = len(shape) - value.ndim
     varies = [i for i, n in enumerate(value.shape) if n == shape[first + i]]
+
     return xr.DataArray(
         value.reshape([value.shape[i] for i in varies]),
         dims=[f"dim_{first + i}" for i in varies],

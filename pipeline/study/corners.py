@@ -39,12 +39,14 @@ def check_walkers(
             if getattr(error, "key", "") != "toward":
                 place = _fault(candidate, keys, error, top)
             raise place.error(str(error)) from error
+
         if study.kind == "curve":
             _check_curve(study, candidate, values, top.at("options"))
         if study.kind == "optimum":
             _check_optimum(study, candidate, values, top.at("options"))
         for each in (*_checks_in_ranges(study, line_of(candidate, values)), check):
             checks[number] = _together(checks.get(number, each), each)
+
     return tuple(checks.values())
 
 
@@ -136,6 +138,7 @@ def _fault(
     # without the axis.
     if getattr(error, "bound", "").startswith("is set by") or not _can_be(walker, {}):
         return top.at("walker")
+
     at_fault = [
         name
         for name in values
@@ -188,6 +191,7 @@ def _check_curve(
     if options["plane"]:
         _check_plane(options["plane"], walker, values, location.at("plane"))
         return
+
     for end in ("from", "to"):
         try:
             dispatch.call(

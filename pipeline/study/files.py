@@ -35,10 +35,12 @@ def read_text(path: Path, shown: str, most: int = 1) -> str:
             if path.exists():
                 raise StudyError(f"{shown} is not a file.")
             raise StudyError(f"There is no file {shown}.")
+
         if path.suffix == ".nc":
             raise StudyError(f"{shown} is an archive; a file NAME.toml is wanted.")
         if path.stat().st_size > most << 20:
             raise StudyError(f"{shown} is larger than {most} MiB.")
+
         return path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise unreadable(shown, error) from error
@@ -70,16 +72,19 @@ def studies(name: Path) -> list[Path]:
                 f"There is no study (*.toml) in the folder {clip(str(name), 200)}."
             )
         return found
+
     if os.path.lexists(name):  # unlike `Path.exists`, no error if it is too long
         return [name]
     if os.path.isfile(f"{name}.toml"):
         raise StudyError(
             f"There is no file {clip(str(name), 200)}; did you mean `{clip(name.name, 200)}.toml`?"
         )
+
     shipped: dict[str, list[Path]] = {}
     for file in sorted(_STUDIES.glob("*/*.toml")):
         for known in (file.parent, file.with_suffix("")):
             shipped.setdefault(known.relative_to(_STUDIES).as_posix(), []).append(file)
+
     if str(name) in shipped:
         return shipped[str(name)]
 
@@ -88,6 +93,7 @@ def studies(name: Path) -> list[Path]:
         raise StudyError(
             f"There is no file {clip(str(name), 200)}; did you mean `{near[0]}`?"
         )
+
     return [name]
 
 
@@ -165,11 +171,14 @@ def walker(
                     **table,
                     "toward": other(table["toward"], folder, place, number),
                 }
+
             overrides = {**table, **overrides}
             if not isinstance(base, str) or base in catalogue:
                 return overrides
+
             del overrides["base"]
             table = base
+
         if table in catalogue:
             return table
         if table.endswith(".toml"):
@@ -179,6 +188,7 @@ def walker(
             if found is None:
                 raise location.unknown(table, [*catalogue, "or a file FILE.toml"])
             table = found
+
     raise location.error(
         f"{clip(str(table))} is based on more than {_MAX_BASES} other files"
     )
@@ -212,8 +222,10 @@ def other(
             value = toml.read(f"toward = {value}", number)["toward"]
         except ValueError as error:
             raise location.wrong("must be a name, a file or a table", value) from error
+
     if not isinstance(value, str | dict):
         raise location.wrong("must be a name, a file or a table", value)
+
     return walker(value, folder, location, number, is_end=True)
 
 
@@ -243,7 +255,9 @@ def _walker_file(
         file.name for file in _WALKERS.glob("*.toml")
     ):
         path = _WALKERS / name
+
     _, table = location.blamed(read_toml, path, name, number)
     if not isinstance(table.get("walker"), dict):
         raise location.error(f"{clip(name)} has no [walker] table")
+
     return table["walker"], path.parent

@@ -83,8 +83,10 @@ class Location:
             is_infinite = value in (math.inf, -math.inf)
             bound = "must be finite" if is_infinite else "must be at most 1e300"
             raise self.wrong(bound, value)
+
         if math.isnan(value):
             raise self.wrong("must be finite", value)
+
         return float(value)
 
     def count(self, value: object, most: int, least: int = 1) -> int:

@@ -129,6 +129,7 @@ class Plane:
             count *= int(
                 np.count_nonzero((values >= low) & (is_last | (values < high)))
             )
+
         return count
 
 
@@ -196,8 +197,10 @@ class Study:
             found = [name for name in found if self._is_solved_along(name, axes[name])]
         elif self.kind not in OVER_DRIVE:
             return ""
+
         if not found or "slope" not in axes:
             return ""
+
         is_window = self.kind in WINDOWED
         is_fixed = (axes["slope"] <= 0).all() or (is_window and len(axes["slope"]) == 1)
         # Of two the first that has a range.
@@ -282,6 +285,7 @@ class Study:
         """
         if self.at or not is_converted(self.variables, self.accuracy):
             return ()
+
         keys = [check.get("scaling", ()) for check in self.checks]
         return tuple(
             axis
@@ -334,6 +338,7 @@ class Study:
         """
         if self.kind != "design":
             return np.array([number])
+
         cell, part = divmod(number, self._batches_each)
         most = self._most_designs
         numbers = cell * self._designs + np.arange(
@@ -355,6 +360,7 @@ class Study:
         """
         if self.kind != "design":
             return self.line(number)
+
         walkers, *indices = np.unravel_index(self.batch(number), self.line_shape)
         sets = {
             axis.name: axis.values[k].astype(float)

@@ -19,6 +19,7 @@ def check(options: object, kind: str, place: Location) -> dict[str, Any]:
     """
     if not isinstance(options, Mapping):
         raise place.wrong("must be a table", options)
+
     fields = OPTIONS[kind]
     place.check_names(options, fields, "key")
 
@@ -27,6 +28,7 @@ def check(options: object, kind: str, place: Location) -> dict[str, Any]:
         checked = fields[name].value.read(value, place.at(name))
         # Numbers stay as they are written, as the keys of results hold them.
         chosen[name] = checked if fields[name].value is VIOLATION_LIMITS else value
+
     return {
         name: value for name, value in chosen.items() if value != fields[name].default
     }

@@ -57,6 +57,7 @@ def read(name: str, study: Study, location: Location) -> Columns:
         rows = list(csv.reader(text.splitlines(), strict=True))
     except csv.Error as error:
         raise location.error(str(files.unreadable(shown, error))) from error
+
     rows = [row for row in rows if any(cell.strip() for cell in row)]
     if len(rows) < 2 or len(rows) > _MAX_ROWS:
         raise location.error(
@@ -69,10 +70,12 @@ def read(name: str, study: Study, location: Location) -> Columns:
             raise location.error(
                 f"{shown} needs the column `{axis}`, an axis with several values"
             )
+
     if not any(column in VARIABLES for column in columns):
         raise location.error(
             f"{shown} has no measured variable, such as `period` or `stance_angle`"
         )
+
     location.check_names(columns.get("walker", ()), study.names, "walker")
     return columns
 
@@ -107,6 +110,7 @@ def points(study: Study) -> dict[str, Any]:
         numbers = np.array([study.names.index(name) for name in rows["walker"]])
 
     lines = Lines([study.walkers[k] for k in numbers.tolist()], axes)
+
     return {
         "lines": list(lines),
         "slope": slope,
@@ -133,8 +137,10 @@ def _columns(
         if name not in _TEXTS and base not in expected:
             known = [*(axis.name for axis in study.axes), *_TEXTS, *_MEASURED]
             raise location.unknown(name, known, f"column of {shown}")
+
         if name in seen:
             raise location.error(f"{shown} has two columns `{name}`")
+
         seen.append(name)
 
         cells = [row[k].strip() if k < len(row) else "" for row in rows[1:]]
@@ -176,6 +182,7 @@ def _factor(
             wanted = f"`{name}` without a unit, as the walker has none"
         heading = f"{name} [{clip(unit, 20)}]" if unit else name
         raise location.error(f"The column `{heading}` of {shown} must be {wanted}")
+
     return 1.0
 
 
@@ -186,11 +193,13 @@ def _numbers(name: str, cells: list[str], shown: str, location: Location) -> np.
             values[i] = float(cell) if cell else np.nan
         except ValueError:
             values[i] = np.inf
+
         if np.isinf(values[i]) or (name.endswith("_error") and values[i] < 0):
             bound = "must be a number" if np.isinf(values[i]) else "must be at least 0"
             raise location.error(
                 f"`{name}` {bound}; got {clip(cell)!r} ({shown}, row {i + 2})"
             )
+
     return values
 
 

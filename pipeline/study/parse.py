@@ -226,6 +226,7 @@ def _walkers(value: object, path: Path, location: Location) -> tuple[Definition,
         raise location.error(f"A study needs a `walker`: {words}")
     if not isinstance(value, str | dict):
         raise location.wrong(f"must be {words}", value)
+
     return (walker(value, path.parent, location),)
 
 
@@ -262,6 +263,7 @@ def _measurements(
         )
     if not isinstance(value, Mapping):
         raise location.wrong("must be a table", value)
+
     location.check_names(value, ("overlay",), "key")
     if "overlay" not in value:
         return {}

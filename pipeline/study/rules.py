@@ -103,11 +103,13 @@ def _planes_have_their_own_keys(study: Study, top: Location) -> Iterator[StudyEr
     plane = study.options.get("plane", {})
     if not plane:
         return
+
     for name in ("key", "from", "to"):
         if name in study.options:
             yield top.at("options", name).error(
                 f"`{name}` is of curves over the slope and a key, and `plane` is set"
             )
+
     for axis in study.line_axes:
         if axis.name in plane:
             yield top.at("axes", axis.name).error(
@@ -129,22 +131,26 @@ def _optima_are_of_something(study: Study, top: Location) -> Iterator[StudyError
     """An optimum is of one objective over free keys, which nothing else sets."""
     if study.kind != "optimum":
         return
+
     options, place = registry.options("optimum", study.options), top.at("options")
     objectives = [options[name] for name in ("minimise", "maximise") if options[name]]
     if len(objectives) != 1:
         both = ", not both" if objectives else ""
         yield place.error(f"An optimum needs either `minimise` or `maximise`{both}")
         return
+
     if not 1 <= len(options["free"]) <= _MOST_FREE:
         yield place.error(
             f"An optimum needs 1 to {_MOST_FREE} keys that are `free`, with their ranges"
         )
+
     axes = [axis.name for axis in study.line_axes]
     for key in options["free"]:
         if key in axes:
             yield place.at("free", key).error(
                 f"`{key}` is free, and an axis sets it too"
             )
+
     (objective,) = objectives
     if objective in axes or (objective == "slope" and len(study.values_along) == 1):
         yield place.error(f"`{objective}` is what is best, and its axis fixes it")
@@ -154,6 +160,7 @@ def _optima_are_not_fixed(study: Study, top: Location) -> Iterator[StudyError]:
     """No constraint of an optimum contradicts another or fixes the objective."""
     if study.kind != "optimum":
         return
+
     options, place = registry.options("optimum", study.options), top.at("options")
     objective = options["minimise"] or options["maximise"]
     for name, (low, high) in options["within"].items():
@@ -164,10 +171,12 @@ def _optima_are_not_fixed(study: Study, top: Location) -> Iterator[StudyError]:
             yield own.error(
                 f"`{name}` has the values of `tradeoff`, and this range too"
             )
+
         if name == "spectral_radius" and options["stable"] and low >= 1:
             yield own.error(
                 "Stable gaits have less than 1; `stable = false` allows more"
             )
+
     if len(options["tradeoff"]) > 1:
         yield place.at("tradeoff").error("The objective is traded for one measure")
     if objective in options["tradeoff"]:
@@ -216,6 +225,7 @@ def _level_ground_has_its_kinds(study: Study, top: Location) -> Iterator[StudyEr
     if study.kind == "optimum":
         yield from _optima_have_one_level_slope(study, top)
         return
+
     wrong = f"`slope` {slopes.BOUND} in studies of kind `{study.kind}`"
     instead = "grids, orbits, basins and optima of driven walkers have gaits"
     if study.kind == "curve":
@@ -233,6 +243,7 @@ def _level_ground_has_its_kinds(study: Study, top: Location) -> Iterator[StudyEr
                 f"`{drives[0]}`, or all > 0; got {level[0]:g} and {highest:g}"
             )
             return
+
     yield top.at("axes", "slope").error(
         f"{wrong}; got {level[0]:g}: on level ground and uphill {instead}"
     )
@@ -312,15 +323,18 @@ def _several_steps_have_no_laws(study: Study, top: Location) -> Iterator[StudyEr
     """Of gaits of several steps nothing is wanted that is known for one step only."""
     if study.steps == 1:
         return
+
     for key, name in _wanted(study, *WANT):
         if is_of_one_step(name) or key == "claims":
             yield top.at("want", key).error(
                 f"`{name}` is of gaits of one step, and `steps` is {study.steps}"
             )
+
     if "adaptive" in study.options:
         yield top.at("axes", study.along).error(
             f"`adaptive` is for gaits of one step, and `steps` is {study.steps}: give `n`"
         )
+
     if study.options.get("sensitivities"):
         yield top.at("options", "sensitivities").error(
             f"`sensitivities` are of gaits of one step, and `steps` is {study.steps}"
@@ -347,19 +361,23 @@ def _targets_are_of_gaits_of_a_grid(
                 f"`{_SOUGHT}` is of gaits at values of a measure, and there is no `at`"
             )
         return
+
     if study.kind != "grid":
         yield top.at("at").error(
             f"`at` is of the gaits of a grid; this study is a `{study.kind}`"
         )
+
     try:
         target.check_steps(study.steps, study.at, top.at("options", "steps"))
     except StudyError as error:
         yield error
+
     for key, name in _wanted(study, "fits", "figures", "claims"):
         if key != "figures" or (name in registry.READS and name != _SOUGHT):
             yield top.at("want", key).error(
                 f"`{name}` is of gaits at slopes, and `at` seeks them at values"
             )
+
     for name in ("proved", "proved_radius"):
         if name in study.variables:
             yield top.at("want", "variables").error(

@@ -52,13 +52,16 @@ def schema(kind: Literal["study", "walker"] = "study") -> dict[str, object]:
     """
     if kind not in ("study", "walker"):
         raise Location("", "kind").wrong('must be "study" or "walker"', kind)
+
     about: Schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": f"{kind} of gaitsweep",
     }
     if kind == "study":
         return about | _study()
+
     walker = {"description": "Parameters of a walker."} | _walker()
+
     return about | {
         "type": "object",
         "properties": {"walker": walker},
@@ -145,6 +148,7 @@ def _of_kind(kind: str) -> Schema:
     if kind != "branch":
         not_adaptive = {"properties": {"adaptive": False}}
         own["axes"] = {"properties": dict.fromkeys(("slope", *DRIVES), not_adaptive)}
+
     is_of_it: Schema = {
         "properties": {"kind": {"const": kind}},
         "required": [] if kind == "grid" else ["kind"],
@@ -161,6 +165,7 @@ def _not_wanted(kind: str) -> dict[str, Schema]:
             others += [name for name in names if name in OVER_LINES]
         if others:
             found[key] = {"items": {"not": {"enum": others}}}
+
     return found
 
 
@@ -186,6 +191,7 @@ def _axis(name: str) -> Schema:
     if name in ("slope", *DRIVES):
         adaptive = {"from": own, "to": own, "adaptive": about["adaptive"]}
         forms.append(table(adaptive, ["from", "to", "adaptive"]))
+
     return {"description": own["description"], "anyOf": forms}
 
 
@@ -197,6 +203,7 @@ def _key(name: str) -> Schema:
     if name == "foot_mass_ratio":
         low, high = dispatch.resolve("gaitsweep.tasks.walkers.resolve:FOOT_MASS_RATIOS")
         return about | Number(low, high, without_high=True).schema
+
     most = _of_walkers("MAX_SIZE")
     return about | _between(*_of_walkers("BOUNDS").get(name, (-most, most)))
 

@@ -63,6 +63,7 @@ def solve(
         raise Location("", "steps").wrong(
             "must be 1 for gaits whose legs pass more than once", steps
         )
+
     params = _of_walker(definition, keys, tuned, limits)
     check_driven(params["walker"], params["set"], slope)
     params |= {"slope": slope, "all": every, "steps": steps}
@@ -124,6 +125,7 @@ def solve_at(
         raise Location("", "at").wrong("must be a table of one measure", at)
     if len(at) != 1:
         raise Location("", "at").wrong("must name one measure", ", ".join(at))
+
     ((measure, value),) = at.items()
     Location("", "at").check_names([measure], nameable(), "measure")
     params: dict[str, Any] = {
@@ -147,6 +149,7 @@ def solve_at(
     if slope is not None and slopes.is_level(slope):
         checked = ask("check_target", {**params, "values": [params["value"]]})
         _refuse_undriven(checked, slope)
+
     with for_question(), _telling_of(steps):
         answer: dict[str, Any] = ask("solve_at", params)
     return answer
@@ -206,6 +209,7 @@ def state_of(
             return [
                 gait[name] for name in ("stance_angle", "stance_rate", "thigh_rate")
             ]
+
     why = [
         sentence for sentence in answer["absent"] if sentence.startswith(f"No {label} ")
     ]
@@ -235,4 +239,5 @@ def led(
         raise place.wrong(
             "needs `detuning`, which says how far the walker is led", toward
         )
+
     return files.changed(walker, files.other(toward, Path(), place, number)), changes

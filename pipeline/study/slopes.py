@@ -55,9 +55,11 @@ def check(
     """
     if is_slope(value) or (may_be_level and is_level(value)):
         return
+
     bound = BOUND_OF_DRIVEN if may_be_level and value <= 0 else BOUND
     wrong = (place or Location("", "slope")).wrong(bound, value)
     if is_slope(radians := math.radians(value)):
         degrees = "1 degree is" if value == 1 else f"{value:g} degrees are"
         wrong = StudyError(f"{str(wrong)[:-1]}: degrees? {degrees} {radians:.6g} rad.")
+
     raise wrong

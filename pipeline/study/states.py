@@ -62,6 +62,7 @@ def from_csv(
     lines = [row for row in csv.reader(io.StringIO(text)) if any(map(str.strip, row))]
     if not lines:
         raise StudyError(f"{path.name} is empty.")
+
     heads = [head.strip() for head in lines[0]]
     for number, row in enumerate(lines[1:], 1):
         if len(row) != len(heads):
@@ -69,10 +70,12 @@ def from_csv(
                 f"Row {number} of {path.name} must have {len(heads)} cells as its head;"
                 f" got {len(row)}."
             )
+
     columns = list(zip(*lines[1:], strict=True)) or [()] * len(heads)
     named = _renamed(heads, renamed)
     _check_once(named)
     table = dict(zip(named, columns, strict=True))
+
     return _states(table, convention), [
         dict(zip(heads, row, strict=True)) for row in lines[1:]
     ]
@@ -99,10 +102,12 @@ def from_python(table: Any, convention: str, renamed: Mapping[str, str]) -> Stat
         ]
     else:
         names, columns = _of_rows(table, convention)
+
     named = _renamed(names, renamed)
     _check_once(named)
     if len({len(column) for column in columns}) > 1:
         raise StudyError("The columns of `table` must be of one length.")
+
     return _states(dict(zip(named, columns, strict=True)), convention)
 
 
@@ -114,12 +119,14 @@ def _of_rows(table: Any, convention: str) -> tuple[list[str], list[list[Any]]]:
         rows = np.atleast_2d(np.asarray(table, float))
     except (TypeError, ValueError):
         rows = np.empty((0, 0, 0))
+
     if rows.ndim != 2 or (rows.size and rows.shape[1] != len(names)):
         shape = "x".join(map(str, np.shape(table))) if rows.ndim == 2 else "no array"
         raise StudyError(
             f"`table` must be a table, or rows of {len(names)} numbers"
             f" ({', '.join(names)}); got {shape}."
         )
+
     columns = rows.T.tolist() if rows.size else [[] for _ in names]
     return names, columns
 
@@ -159,17 +166,20 @@ def _states(table: Mapping[str, Sequence[Any]], convention: str) -> States:
                 f"Column `{name}` is missing, got {clip(', '.join(table) or 'none', 200)};"
                 " `map` names columns."
             )
+
     _check_one_walker(table.get("walker", ()))
     wanted = [name for name in (*about["columns"], "slope") if name in table]
     count = len(table[wanted[0]])
     if not 1 <= count <= MOST_ROWS:
         raise StudyError(f"The table must have 1 to {MOST_ROWS:,} rows; got {count:,}.")
+
     values, digits, sizes = {}, {}, {}
     for name in wanted:
         read = [_read(name, row, cell) for row, cell in enumerate(table[name], 1)]
         values[name] = np.array([value for value, _ in read], float)
         digits[name] = np.array([digit for _, digit in read], float)
         sizes[name] = _sizes(values[name], digits[name])
+
     return States(values, digits, sizes)
 
 
@@ -190,6 +200,7 @@ def _sizes(values: np.ndarray, digits: np.ndarray) -> np.ndarray:
     known = np.isfinite(values) & (digits > 0)
     if not known.any():
         return np.zeros(len(values))
+
     finest = digits[known].min()
     decade = np.full(len(values), -np.inf)
     some = known & (values != 0)
@@ -206,6 +217,7 @@ def _read(name: str, row: int, cell: Any) -> tuple[float, float]:
     text = str(cell).strip()
     if not text:
         return math.nan, 0.0
+
     try:
         if isinstance(cell, bool) or not text.isascii() or "_" in text:
             raise ValueError
@@ -214,8 +226,10 @@ def _read(name: str, row: int, cell: Any) -> tuple[float, float]:
         raise StudyError(
             f"`{name}` must be a number; got {clip(repr(text))} in row {row}."
         ) from None
+
     if not math.isfinite(value):
         return math.nan, 0.0
+
     return value, _last_digit(text)
 
 

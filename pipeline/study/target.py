@@ -40,13 +40,16 @@ def read(
     """
     if "at" not in table:
         return {}, axes
+
     value, place = table["at"], top.at("at")
     if not isinstance(value, Mapping):
         raise place.wrong("must be a table", value)
+
     place.check_names(value, (*AT, *nameable()), "measure")
 
     if not isinstance(axes, dict | None):
         raise top.at("axes").wrong("must be a table", axes)
+
     given = axes or {}
     measure, is_axis = _measure(value, given, place)
     asked = {"measure": measure, **fields(value, place)}
@@ -107,4 +110,5 @@ def fields(value: Mapping[str, Any], place: Location) -> dict[str, Any]:
     if vary == "slope":
         for end in between:
             slopes.check(end, place.at("between"), may_be_level=True)
+
     return {"vary": vary, "between": between}

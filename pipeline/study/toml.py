@@ -41,6 +41,7 @@ def read(text: str, number: Callable[[str], Any] = float) -> dict[str, Any]:
     too_deep = f"Tables and lists are nested more than {_MOST_LEVELS} deep"
     if _LONG_KEY.search(text):
         raise ValueError(too_deep)
+
     try:
         table = tomllib.loads(text, parse_float=number)
     except RecursionError:
@@ -54,8 +55,10 @@ def read(text: str, number: Callable[[str], Any] = float) -> dict[str, Any]:
             for value in (each.values() if isinstance(each, dict) else each)
         )
         level = [value for value in values if isinstance(value, dict | list)]
+
     if level:
         raise ValueError(too_deep)
+
     return table
 
 
@@ -66,6 +69,7 @@ def note_place(error: Exception, text: str, cause: Exception) -> None:
     place = _PLACE.search(str(cause))
     if not place:
         return
+
     lines = text.split("\n")
     if place["line"]:
         number, column = int(place["line"]), int(place["column"])
@@ -114,10 +118,12 @@ def written(value: Any, key: str = "") -> str:
         # and the text is refused.
         text = json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
         return text.encode(errors="backslashreplace").decode()
+
     if isinstance(value, float):
         return repr(value)
     if isinstance(value, bool | int):
         return json.dumps(value)
+
     raise StudyError(
         f"`{key}` must be a number, a text, a list or a mapping; got {type(value).__name__}."
     )

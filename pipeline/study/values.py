@@ -87,8 +87,10 @@ class Number(Value):
             if self.low == -LARGEST:
                 return ""
             return f"be {'above' if self.without_low else 'at least'} {low}{self.unit}"
+
         if self.without_low:
             return f"be > {low} and at most {high}{self.unit}"
+
         return f"lie in [{low}, {high}{')' if self.without_high else ']'}{self.unit}"
 
 
@@ -330,6 +332,7 @@ class Memory(Value):
         is_whole = isinstance(size, int) and not isinstance(size, bool)
         if not is_whole or not self.low <= size <= self.high:
             raise place.wrong(f"must be {self.words}", value)
+
         return int(size)
 
     @property
@@ -376,11 +379,13 @@ class ViolationLimits(Value):
         """Check limits; those at their defaults count as left out."""
         if not isinstance(value, Mapping):
             raise place.wrong(f"must be a {self.words}", value)
+
         place.check_names(value, VIOLATIONS, "violation")
         limits = {
             name: self._limit.read(limit, place.at(name))
             for name, limit in value.items()
         }
+
         return {
             name: limit
             for name, limit in limits.items()

@@ -45,6 +45,7 @@ def read(
         if name not in FIGURES:
             plot = place.blamed(extensions.find, "figures", name, Plot)
             READS[name] = variables(list(plot.reads), place)
+
     return wanted
 
 
@@ -85,6 +86,7 @@ def variables(
     if SENSITIVITIES in requested:
         requested |= {*own, *derivatives(own)}
         registry.admit(requested)
+
     wanted = tuple(
         v.name
         for v in VARIABLES.values()

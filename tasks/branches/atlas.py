@@ -109,6 +109,7 @@ def branches_along(
     raw, start = _join(problem, down, up)
     if len(raw.q) < 4:
         return []
+
     check = yield Call(check_steps, (raw.Z,))
     steps = check.step
     gait = raw.Z[:, start]
@@ -128,6 +129,7 @@ def branches_along(
         branch = yield from _with_ends(raw, first, last)
         if branch is None:
             continue
+
         branch = yield from _with_folds(branch)
         if is_closed and steps.all():
             branch = _cut_at_fold(branch)
@@ -138,6 +140,7 @@ def branches_along(
         branch = yield from checked(branch, gait)
         if len(branch.q) >= MIN_NODES:
             branches += yield from _without_gaps(branch, gait, tolerance)
+
     return branches
 
 
@@ -168,6 +171,7 @@ def _loop(n: int, steps: ndarray, slope_rate: ndarray) -> ndarray:
     else:
         turns = np.flatnonzero(np.diff(np.sign(slope_rate[once_round])) != 0)
         first, repeated = turns[0], 2
+
     return once_round[(first + np.arange(count + repeated)) % count]
 
 
@@ -203,6 +207,7 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
         direction = end.point.direction[:, 0]
         branch = branch.insert(side * len(branch.q), Z, direction)
         branch = branch.ending(side, end.kind, end.error)
+
     branch = _without_twins(branch, ends)
     return branch if len(branch.q) >= MIN_NODES else None
 
@@ -219,6 +224,7 @@ def _located_ends(
     if not ends_run:
         raw, last = yield from narrow_segment(raw, last, is_step)
         ends[1] = yield from locate_end(raw, last, last + 1)
+
     if not begins_run:
         before = len(raw.q)
         raw, segment = yield from narrow_segment(raw, first - 1, _is_no_step)
@@ -234,6 +240,7 @@ def _located_ends(
             ends[side] = passed
             first += side == 0
             last -= side == 1
+
     return raw, first, last, ends
 
 
@@ -244,10 +251,12 @@ def _passed_limit(raw: Branch, side: int) -> Procedure[BranchEnd | None]:
     kind = raw.why[side]
     if kind not in KINDS or KINDS[kind].ends != "following":
         return None
+
     condition = CONDITIONS[kind]
     last = yield Call(evaluate, (raw.Z[:, [-side]],))
     if condition.residual(last)[0] * condition.walking >= 0:
         return None
+
     segment = len(raw.q) - 2 if side else 0
     point = yield from locate_root(raw, segment, value_of(condition))
     return BranchEnd(kind, point, raw.end_errors[side])
@@ -294,11 +303,13 @@ def _without_gaps(
         part = yield from _with_ends(branch, first, last)
         if part is None:
             continue
+
         part = yield from densify(part, tolerance)
         part = yield from checked(part, gait)
         if len(part.q) >= MIN_NODES:
             yield from measure(part, tolerance)
             branches.append(part)
+
     return branches
 
 
@@ -322,6 +333,7 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
         # polynomial.
         if norm(branch.Z[:, left : left + 2] - point.Z).min() > _TWIN:
             branch = branch.with_points(left, point)
+
     return branch
 
 
@@ -352,6 +364,7 @@ def searched_in(walker: Walker, time_units: Sequence[float]) -> list[str]:
         first, last = (over_unit * unit)[[0, -1]]
         reach = f"periods from {first:.3g} to {last:.3g}{' s' * walker.si}"
         words.append(f"{guesses}, with {reach}")
+
     return words
 
 
@@ -427,6 +440,7 @@ def follow_gaits(
         for i in chosen:
             down, up = tracks[i]
             refined.append(branches_along(problem, down, up, tolerance))
+
         found = side_by_side(problem, lines[chosen], refined)
         for i, parts in zip(chosen, found, strict=True):
             of_line = branches[lines[i]]
@@ -547,4 +561,5 @@ def from_arrays(arrays: dict[str, ndarray]) -> list[Branch]:
             **{name: arrays[name][..., nodes] for name in _BY_NODE},
         )
         branches.append(branch)
+
     return branches

@@ -57,6 +57,7 @@ def _divided_differences(x: ndarray, values: ndarray, slope: ndarray) -> ndarray
         if order == 1:
             table[:, ::2] = slope
         coefficients.append(table[:, 0])
+
     return np.array(coefficients)
 
 
@@ -299,12 +300,15 @@ class Branch:
             for i in range(start + 1, n):
                 if along(kept[-1], i):
                     kept.append(i)
+
             for i in reversed(range(start)):
                 if along(i, kept[0]):
                     kept.insert(0, i)
+
             # A gait whose own tangent is off has no neighbours along it.
             if len(kept) >= MIN_NODES:
                 break
+
         return self.part(np.array(kept))
 
     def lies_between(self, segment: Numbers, Z: Coordinates) -> ndarray:
@@ -399,6 +403,7 @@ class Branch:
             beyond = above == rising
             a = np.where(beyond, a, middle)
             b = np.where(beyond, middle, b)
+
         x = q.copy()
         x[~direct] = 0.5 * (a + b)
         return x
@@ -469,6 +474,7 @@ class Branch:
         angle, last_angle = self.Z[0, [0, -1]]
         if (first, angle) <= (last, last_angle):
             return number
+
         return len(firsts) - 1 - number
 
     def ratio_on(self, segment: Numbers) -> ndarray:
@@ -492,6 +498,7 @@ class Branch:
         right = self.gradient.take(segment + 1, axis=-1)
         steep = np.maximum(self.lipschitz[segment], self.lipschitz[segment + 1])
         leg_passes = self.leg_passes[segment]
+
         # On branches of several steps, of which any may be the first, nothing is
         # measured.
         return Guesses(

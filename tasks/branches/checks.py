@@ -58,6 +58,7 @@ def checked(branch: Branch, gait: Gait) -> Procedure[Branch]:
     """
     if len(branch.q) == 1:
         return branch
+
     for _ in range(_MAX_ROUNDS):
         failing = yield from _failing(branch)
         if not failing.any():
@@ -145,4 +146,5 @@ def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
             continue
         if not abs(condition.residual(at_ends)[side]) < _MAX_END:
             branch = branch.ending(side, NO_FURTHER, branch.end_errors[side])
+
     return branch

@@ -190,6 +190,7 @@ def _neimark_sacker(at: Evaluation) -> ndarray:
     for place, rows in enumerate(_PAIRS):
         for other, columns in enumerate(_PAIRS):
             compound[place, other] = minor(rows, columns)
+
     return determinants(np.moveaxis(compound, -1, 0) - np.eye(3))
 
 
@@ -277,6 +278,7 @@ def _knee_acceleration(at: Evaluation) -> ndarray:
             q[:, lanes], rate[:, lanes], slope[lanes], True
         )
         bending[lanes] = thigh - shank
+
     return bending / scale
 
 

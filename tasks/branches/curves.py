@@ -193,11 +193,13 @@ def follow(
     if track.stop_reason == CLOSED:  # at its start, beyond which the last point lies
         track.Z[:, -1] = track.Z[:, 0]
         track.tangent[:, -1] = track.tangent[:, 0]
+
     if track.stop_reason != BORDER:
         return track
 
     # The last point lies beyond the window: that on the border takes its place.
     X, tangent = tracks.end
+
     return Track(
         np.hstack([track.Z[:, :-1], X]),
         np.hstack([track.tangent[:, :-1], tangent]),
@@ -260,6 +262,7 @@ def at_value(equations: Equations, points: ndarray, value: float) -> list[Gait]:
         passed = correct_on_curve(equations, guess[:, None], across)
         if passed.ok[0]:
             found.append(passed.Z[:, 0])
+
     return found
 
 
@@ -301,6 +304,7 @@ def turning(
     at_b = b[1][component]
     if at_a * at_b > 0 or at_a == at_b:
         return None
+
     length = float(np.linalg.norm(b[0] - a[0]))
     chord = ((b[0] - a[0]) / length)[:, None]
 
@@ -317,6 +321,7 @@ def turning(
         # Corrected anew, both points have the component on one side by rounding: the
         # nearer one is the turning.
         share = float(abs(at_a) > abs(at_b))
+
     turn = corrected(share)
     if not turn.ok[0]:
         return None

@@ -65,6 +65,7 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     for condition in _ENDS:
         if condition.kind.needs_knee and not has_knee:
             continue
+
         test = value_of(condition)
         if test(at_good) * test(at_bad) < 0:
             point = yield from locate_root(branch, segment, test)
@@ -77,6 +78,7 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
         _, end = min(ends, key=lambda located: located[0])
         if (yield from _walks_up_to(branch, good, segment, end)):
             return (yield from _with_a_kneestrike(branch, segment, end))
+
     return (yield from _earlier_strike_end(branch, segment, good, bad))
 
 
@@ -94,6 +96,7 @@ def _with_a_kneestrike(
 
     if end.kind != "end_tangential_kneestrike" or beyond_earliest(end.point) > 0:
         return end
+
     earliest = yield from locate_root(branch, segment, beyond_earliest)
     off = earliest.at.q[0] - end.point.at.q[0]
     return BranchEnd(end.kind, earliest, abs(float(off)))
@@ -179,6 +182,7 @@ def _bisect(
             a = middle
         else:
             b = middle
+
     return a, b
 
 

@@ -161,6 +161,7 @@ class Keys:
         values = x * self.scale[:, None]
         if self.walkers_at is not None:
             return Lanes(self.walkers_at(values), self.structure, drive)
+
         different, lane = np.unique(values, axis=1, return_inverse=True)
         inner = self._within(different)
 
@@ -168,6 +169,7 @@ class Keys:
         if (inner != different).any():
             mirrored = self._of_values(2 * inner - different)
             lanes.constants = 2 * lanes.constants - mirrored.constants
+
         return lanes.some(lane.ravel()).over(drive)
 
     def _of_values(self, values: ndarray) -> Lanes:
@@ -179,6 +181,7 @@ class Keys:
             except WalkerError:
                 walkers.append(self.walker_at(*self.ordinary))
                 missing.append(number)
+
         lanes = Lanes(walkers, self.structure)
         lanes.constants[:, missing] = np.nan
         return lanes
@@ -242,6 +245,7 @@ class Equations:
             self.problem: Problem = Lanes([ordinary], walkers.structure, drive)
         else:
             self.problem = walkers if slope is None else walkers.over(drive)
+
         self._check()
 
     def _check(self) -> None:
@@ -250,6 +254,7 @@ class Equations:
         for name, scalar in zip(names, scalars, strict=True):
             if scalars.count(scalar) > 1:
                 raise ValueError(f"condition `{name}` stands twice; one would do")
+
         if len(names) > self.freedom:
             raise ValueError(
                 f"{len(names)} conditions ({', '.join(names)}) need as many free "
@@ -473,6 +478,7 @@ class _LastCondition:
                 self.condition, at.X[:, grown]
             )
             last = np.where(grown, 0.0, last)
+
         value = self.condition.some(lanes).residual(at.gait)
         square = total(last * last)
         self.rows[:, lanes] += last * (value / np.where(square > 0, square, np.inf))
@@ -658,6 +664,7 @@ def errors(equations: Equations, X: Gait, last: int) -> ndarray:
     matrix = equations.at(X[:, None]).derivative[..., 0]
     if not np.isfinite(matrix).all() or not np.linalg.cond(matrix) < 1 / EPS:
         return np.full(last, np.inf)
+
     by_values = np.linalg.solve(matrix.T, np.eye(len(matrix))[:, -last:])
 
     Z, _ = equations.split(X[:, None])

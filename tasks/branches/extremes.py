@@ -241,6 +241,7 @@ def best(points: Points, lines: int, window: tuple[float, float]) -> dict[str, n
         line, first = np.unique(points.line[order], return_index=True)
         out[name] = np.full(lines, -1)
         out[name][line] = order[first]
+
     return out
 
 
@@ -299,6 +300,7 @@ def find(
     """
     if not any(surveyed):
         return nothing(problem)
+
     window, log_speed = sought
     kinds = ("label", "flip", "neimark_sacker", "fastest")
     conditions = [CONDITIONS[kind] for kind in kinds]
@@ -326,7 +328,9 @@ def _at_edge(nodes: Nodes, edge: float) -> Guesses:
         for _, crossing, segment in branch.guesses(np.array([edge])):
             node.append(first + segment)
             Z.append(crossing)
+
     condition = CONDITIONS["window"].equal_to(edge)
+
     return Guesses(
         condition.name, condition, np.concatenate(node), np.concatenate(Z, axis=1)
     )
@@ -344,7 +348,9 @@ def _turns_and_ends(nodes: Nodes, tuned: ndarray, low: float) -> list[Guesses]:
             vanishes = kind != "fold" and branch.q[node] <= np.log(_VANISHING)
             is_any = vanishes and tuned[nodes.line[first]] and branch.q.max() >= low
             by_kind.setdefault(ANY_SLOPE if is_any else kind, []).append(first + node)
+
     by_kind.pop("window", None)
+
     return [
         Guesses(
             kind,

@@ -84,8 +84,10 @@ def doubled(flip: Evaluation, expected: float) -> tuple[Point, ndarray, float] |
             distance *= np.sqrt(found_at / distance)
         else:
             distance *= _FARTHEST
+
     if found is None:
         return None
+
     return found, direction, _FIRST_STEP * found_at
 
 
@@ -101,6 +103,7 @@ def _along_doubled(flip: Evaluation, Z: Gait) -> ndarray:
     for i in range(flip.problem.steps):
         half.append(v)
         v = matvec(steps.jacobian[:, :, [i]], v)
+
     other_half = [-part for part in half]
     both_halves = np.concatenate([*half, *other_half])
     change = both_halves / flip.stride.y[0]
@@ -181,6 +184,7 @@ def _nearest_flip(
         if apart.min() < nearest:
             nearest = apart.min()
             found = flip, twice[:, apart.argmin()]
+
     return found
 
 

@@ -122,6 +122,7 @@ def locate_root(branch: Branch, segment: int, test: TestFunction) -> Procedure[P
         at_a = yield from correct_at(branch, segment, a)
         at_b = yield from correct_at(branch, segment, b)
         root = a if abs(test(at_a)) < abs(test(at_b)) else b
+
     return (yield from correct_at(branch, segment, root))
 
 
@@ -213,6 +214,7 @@ def _beside_folds(
         for lane in lanes[near].tolist():
             group = id(branch), float(guesses.slope[lane])
             groups.setdefault(group, []).append(lane)
+
     return [np.array(lanes) for lanes in groups.values()]
 
 
@@ -228,6 +230,7 @@ def _point_at_slope(branch: Branch, segment: int, q: float) -> Procedure[Point |
         point = yield from locate_root(part, number, beyond)
         if _is_on(part, number, point):
             return point
+
     return None
 
 
@@ -315,6 +318,7 @@ def _point_within(branch: Branch, segment: int) -> Procedure[tuple[Point | None,
         chord = np.linalg.norm(b - a)
         is_close = bool(error < _MAX_PREDICTION_ERROR * chord)
         return point, is_close and part is branch
+
     return None, False
 
 

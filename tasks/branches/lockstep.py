@@ -84,6 +84,7 @@ def side_by_side(
             )
             for number, part in zip(numbers, parts, strict=True):
                 advance(number, part)
+
     return [results[number] for number in range(len(procedures))]
 
 

@@ -230,6 +230,7 @@ def _with_ends(
         if segment in resonances:
             reasons[end] = resonances[segment].name
             parts.insert(end * len(parts), resonances[segment].X[None])
+
     return np.vstack(parts), (reasons[0], reasons[1])
 
 
@@ -266,6 +267,7 @@ def turnings(
     (own,) = equations.conditions
     if own.name != "fold":
         return turned, []
+
     at_once = [
         (one, other)
         for one, other in itertools.combinations(turned, 2)
@@ -335,6 +337,7 @@ def meetings(
             found = _solved(both, curve.at(place), curve.lengths[segment])
             if found is None or any(same(found, X, SAME_GAIT) for X in solved):
                 continue
+
             solved.append(found)
             named = _name((kind, name), both, found)
             if named:
@@ -404,6 +407,7 @@ def _refined(
         off = np.append(off, residual(nearest))
         order = np.argsort(places)
         places, off = _known(places[order], off[order])
+
     return places, off
 
 
@@ -419,6 +423,7 @@ def _nearest_to_zero(x: ndarray, off: ndarray) -> ndarray:
     """
     if len(x) < 3:
         return x[:0]
+
     rise = np.diff(off) / np.diff(x)
     bend = np.diff(rise) / (x[2:] - x[:-2])
     middle = 0.5 * (x[:-2] + x[1:-1])
@@ -456,7 +461,10 @@ def _name(names: Sequence[str], both: Equations, X: Gait) -> str:
             off = np.sort(np.abs(multipliers - _DOUBLE[other]))
             if off[1] < _SAME_MULTIPLIER:
                 return _NAMES[frozenset(names)]
+
         if np.abs(multipliers.imag).max() < _SAME_MULTIPLIER:
             return ""
+
         return f"{other} and neimark_sacker"
+
     return _NAMES.get(frozenset(names), " and ".join(sorted(names)))

@@ -104,6 +104,7 @@ def described(problem: Problem, w: Unknowns, log_slope: LogSlopes) -> Gaits:
     """
     if not w.shape[1]:
         return Gaits.none(0)
+
     stride, scale = problem.stride(w, log_slope)
     state = problem.start(stride.y * scale, np.exp(log_slope))[:3]
     before = stride.one.impact * scale
@@ -151,7 +152,9 @@ def gaits_at(
                 gaits.passes[lanes] = passes
 
                 begun.append(gaits)
+
             found.append(begun)
+
     _label(found)
     return [gaits for begun in found for gaits in begun]
 
@@ -169,6 +172,7 @@ def _label(found: Sequence[list[Gaits]]) -> None:
     """Give gaits, each begun at all of its steps, their labels among all of a slope."""
     if not found:
         return
+
     largest = [begun[0] for begun in found]
     angle = np.array([gaits.state[0] for gaits in largest])
     passes = np.array([gaits.passes for gaits in largest])
@@ -221,6 +225,7 @@ def nearest_on_branches(
         changes = np.full_like(gaits.state, np.nan)
         changes[:, lanes] = along.changes(reached)
         found.append((drive, gaits, changes))
+
     return found
 
 
@@ -292,6 +297,7 @@ class _Along:
         self.Z[:, lanes[exists]] += step[:, exists]
 
         is_lost = np.abs(self.Z[:, lanes]).max(axis=0) > _MOST
+
         return np.select(
             [~exists | is_lost, size < _REACHED, is_far],
             [Ended.SINGULAR, Ended.CONVERGED, Ended.DIVERGED],

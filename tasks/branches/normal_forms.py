@@ -179,6 +179,7 @@ class _Sections:
         d = len(at.stride.jacobian)
         y = at.stride.y[:d]
         _, durations = sections(at.w, at.m, problem.steps)
+
         return cls(
             problem=problem.of_steps(1),
             y=y,
@@ -208,6 +209,7 @@ class _Sections:
             times = np.cumsum(durations, axis=0)[:, lanes]
             y, jacobian = _settled(problem, y, times, parameters)
             product = matvec(jacobian[:, :, None], product)
+
         lanes_first = np.moveaxis(product, -1, 0)
         return lanes_first.reshape(s, n, d, d)
 
@@ -286,6 +288,7 @@ def _critical(kind: str, jacobian: ndarray) -> _Eigen:
     p = left[lanes, nearest]
     if kind == "flip":
         return _Eigen(value.real, q.real, p.real)
+
     return _Eigen(value, q, p)
 
 
@@ -344,6 +347,7 @@ def _forms(
             differences = [line.differences(stencil, step) for line in lines]
             rows.append(_FORMS[kind](at.jacobian, eigen, differences))
         found.append(np.array(rows))
+
     return found
 
 

@@ -195,6 +195,7 @@ def _changing(nodes: Nodes, condition: Condition, of_stable_gaits: bool) -> ndar
         least &= inner < _NEAR_ZERO
         changes[:-1] |= least
         changes[1:] |= least
+
     return np.flatnonzero(changes)
 
 
@@ -264,6 +265,7 @@ def locate(problem: Problem, nodes: Nodes, guesses: Guesses) -> Point:
         if not _lies_on(branch, solved.Z[:, lane]):
             solved.ok[lane] = False
             solved.Z[:, lane] = guesses.Z[:, lane]
+
     return solved
 
 

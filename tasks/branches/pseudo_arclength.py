@@ -131,6 +131,7 @@ def _solve_bordered(
     except np.linalg.LinAlgError:  # one of them is singular to the last digit
         solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
         solution = np.linalg.solve(matrix[solvable], both[solvable])
+
     both[:] = 0.0
     both[solvable] = solution
     matrix[~solvable] = np.eye(matrix.shape[1])
@@ -455,6 +456,7 @@ class Tracks(ABC):
             refused = active[~fair]
             is_short = self.step[refused] < self.control.shortest
             self.stop[refused[is_short]] = NO_FURTHER
+
         return self._followed()
 
     def _followed(self) -> list[Track]:

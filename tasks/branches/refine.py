@@ -146,6 +146,7 @@ def densify(branch: Branch, tolerance: float) -> Procedure[Branch]:
         )
         if not len(segments):
             break
+
     return branch
 
 
@@ -166,6 +167,7 @@ def without_jumps(branch: Branch, gait: Gait) -> Procedure[Branch]:
     jumps[[0, -1]] &= np.array(branch.why) != "branch_point"
     if not jumps.any():
         return branch
+
     return branch.part_of(gait, np.flatnonzero(jumps))
 
 
@@ -197,6 +199,7 @@ def locate_gaps(
         gap = yield from _gap_between(branch, low, high, narrow)
         if gap is not None:
             gaps.add(gap)
+
     return sorted(gaps)
 
 
@@ -210,6 +213,7 @@ def _least_distances(branch: Branch, distance: ndarray, steps: ndarray) -> ndarr
         inner = distance[1:-1]
         least = (inner <= distance[:-2]) & (inner <= distance[2:])
         least &= ~(inner > bend)
+
     safe = branch.safe[:-2] & branch.safe[1:-1]
     least &= np.isfinite(inner) & ~safe
     return np.flatnonzero(least) + 1
@@ -249,10 +253,13 @@ def _gap_between(
         k = int(np.argmin(fine[1:-1])) + 1
         if (yield from _is_interrupted(branch, place[k], fine[k])):
             return float(place[k])
+
         inner = narrow(stride, fine, k)
         if inner is None:
             break
+
         low, high = place[list(inner)].tolist()
+
     return None
 
 
@@ -283,6 +290,7 @@ def measure(branch: Branch, tolerance: float) -> Procedure[tuple[ndarray, StepCh
     else:
         phases = len(branch.Z) - 1 - branch.m
         measured = not_measured(branch.m, phases, len(branch.q), branch.steps)
+
     branch.lipschitz, branch.gradient, branch.rounding_std = measured
 
     stride, distance = yield Call(sampled_steps, (branch.Z,), _FINER)
@@ -310,6 +318,7 @@ def _margins(motion: list[ndarray], steps: int) -> ndarray:
         of_steps = part.reshape(*part.shape[:2], steps, -1)
         change = np.abs(np.diff(of_steps, axis=-1))
         farthest.append(change.max(axis=(0, 1)))
+
     # A guard adds two angles, and a gait between two nodes is no farther from one of
     # them than they are apart.
     apart = 2 * np.max(farthest, axis=0)

@@ -71,14 +71,17 @@ def root_search(
         else:
             c, at_c = b, at_b
             b, at_b = a, at_a
+
         a, at_a = x, at_x
 
         best = a if abs(at_a) < abs(at_b) else b
         near = (2 * np.finfo(float).eps * abs(best) + 0.5 * tolerance) / abs(b - a)
         if near > 0.5 or at_a == 0:
             return best
+
         share = _next_share((a, at_a), (b, at_b), (c, at_c))
         share = min(1 - near, max(near, share))
+
     return best
 
 
@@ -97,6 +100,7 @@ def _next_share(
         by_b = at_a / (at_b - at_a) * at_c / (at_b - at_c)
         by_c = (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (at_c - at_b)
         return by_b + by_c
+
     return 0.5
 
 
@@ -141,6 +145,7 @@ def passes(start: OnCurve, a: OnCurve, b: OnCurve) -> ndarray:
     share = total((start[0] - a[0]) * chord) / length**2
     off = norm(hermite(a, b, length, share) - start[0])
     is_ahead = total(start[1] * chord) > 0.5 * length
+
     return np.asarray(
         (share > 0) & (share <= 1) & (off < _CLOSED_WITHIN * length) & is_ahead
     )

@@ -69,6 +69,7 @@ def chosen(
         few = _thinned(points[run], is_fold[run], tolerance)
         with_bends = _with_radius(problem, branch, place[run][few], tolerance)
         parts.append(with_bends)
+
     return branch.at(np.concatenate(parts))
 
 
@@ -187,6 +188,7 @@ def _thinned(points: ndarray, fixed: ndarray, tolerance: float) -> ndarray:
         while kept[-1] < stop:
             farthest = _farthest(points, kept[-1], stop, 0.8 * tolerance)
             kept.append(farthest)
+
     return np.array(kept)
 
 
@@ -210,12 +212,14 @@ def _farthest(points: ndarray, start: int, stop: int, tolerance: float) -> int:
             break
         good = end
         length *= 2
+
     while bad - good > 1:
         end = (good + bad) // 2
         if is_accurate(end):
             good = end
         else:
             bad = end
+
     return good
 
 
@@ -247,6 +251,7 @@ def _with_radius(
         chosen = chosen.with_more(after, probed, worse)
         left = after - 1 + np.arange(len(after))
         segments = np.column_stack([left, left + 1]).ravel()
+
     return chosen.places
 
 
@@ -290,4 +295,5 @@ def _off_line(chosen: _Sampled, segments: Numbers, probed: _Sampled) -> ndarray:
         weighted += chosen.radius[segments + 1] * to_left
         off = np.abs(probed.radius - weighted / length)
         off /= np.maximum(1.0, probed.radius)
+
     return np.nan_to_num(off, nan=np.inf)

@@ -79,6 +79,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
             described |= _limit_of_short_steps(branch, each.lane)
         condition = _condition(each.kind, each.point, each.lane)
         records.append({**described, "place": each.place, "condition": condition})
+
     return records
 
 
@@ -130,6 +131,7 @@ def turns_and_ends(branch: Branch) -> list[tuple[str, int, float]]:
     for node, why, error in ends:
         kind = "lost" if why in LOST else why
         found.append((kind, node, error))
+
     return found
 
 
@@ -200,6 +202,7 @@ def _passings(
         is_known = any(same(point.Z, other.Z, SAME_GAIT)[0] for _, other in found)
         if not is_known and _is_genuine(condition, point):
             found.append((float(place[lane]), point))
+
     return sorted(found, key=lambda each: each[0])
 
 
@@ -224,6 +227,7 @@ def _branch_points(
     searches = [locate_root(branch, segment, determinant) for segment in segments]
     points = side_by_side(problem, [0] * len(segments), searches)
     located = zip(segments, points, strict=True)
+
     return [
         (segment + 0.5, point)
         for segment, point in located
@@ -257,6 +261,7 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
         # Rounding, which extrapolation enlarges, may be alike in the last three: they
         # were up to 3.6 times as far off.
         left = 4 * float(np.ptp(values[-3:]) / value)
+
     return {"slope": value, "error_bound": 4 * left + 8 * EPS}
 
 
@@ -287,6 +292,7 @@ def _extrapolated(x: ndarray, y: ndarray) -> ndarray:
         weighted = x[k:] * row[:-1] - x[:-k] * row[1:]
         row = weighted / (x[k:] - x[:-k])
         values.append(row[0])
+
     return np.array(values)
 
 
@@ -349,6 +355,7 @@ def _error(kind: str, point: Point, lane: int, known: float) -> float:
         error = float(np.nan_to_num(rounded, nan=np.inf).max())
         if kind == "branch_point":
             error = max(error, _AT_CROSSING)
+
     return known + error + 8 * EPS
 
 

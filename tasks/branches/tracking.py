@@ -358,6 +358,7 @@ class _Branches(Tracks):
             is_unstable = np.abs(point.at.multipliers[:, 0]) > MAX_MULTIPLIER
             why[is_unstable] = "multiplier_limit"
             why[~_keeps_apart(last, point.Z, self.problem)] = HALVED
+
         due = np.flatnonzero((why == "") & (self.count[tracks] % _CHECK_EVERY == 0))
         if len(due):
             why[due[~self._are_steps(tracks[due])]] = NOT_A_STEP

@@ -26,6 +26,7 @@ def arrays_of(value: Any, name: str = "") -> Arrays:
     """
     if value is None:
         return {}
+
     has_arrays = isinstance(value, tuple) and any(
         isinstance(part, np.ndarray) for part in value
     )
@@ -34,6 +35,7 @@ def arrays_of(value: Any, name: str = "") -> Arrays:
     elif dataclasses.is_dataclass(value):
         names = [field.name for field in dataclasses.fields(value)]
         value = {part: getattr(value, part) for part in names}
+
     if not isinstance(value, dict):
         return {name: np.asarray(value)}
 
@@ -57,6 +59,7 @@ def value_of(kind: Any, arrays: Mapping[str, np.ndarray]) -> Any:
             values[name] = array
         else:
             values[name] = tuple(array.tolist()) if array.ndim else array.item()
+
     return kind(**values)
 
 

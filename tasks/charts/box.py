@@ -119,6 +119,7 @@ class Box:
         origin, side, near, far, is_log = self._distances
         if not is_log.any():
             return linear
+
         with np.errstate(invalid="ignore", divide="ignore"):
             share = 0.5 * (1 + side * unit)
             distance = near * np.exp(share * np.log(far / near))
@@ -141,9 +142,11 @@ class Box:
         origin, side, near, far, is_log = self._distances
         if not is_log.any():
             return linear
+
         with np.errstate(invalid="ignore", divide="ignore"):
             distance = side * (points - origin)
             share = np.log(distance / near) / np.log(far / near)
+
         return np.where(is_log, side * (2 * share - 1), linear)
 
     def corners(self, at: float) -> np.ndarray:
@@ -175,10 +178,12 @@ class Box:
         if at is None:
             halved = _with(halved, axis, halved[axis] + 1)
             at = float(self.at(np.zeros((1, d)))[0, axis])
+
         whole = replace(self, halved=halved)
         if origin is not None:
             origins = self.origin or (0.0,) * d
             whole = replace(whole, origin=_with(origins, axis, origin))
+
         lower = replace(whole, high=_with(self.high, axis, at))
         return lower, replace(whole, low=_with(self.low, axis, at))
 

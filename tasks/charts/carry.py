@@ -78,4 +78,5 @@ class Carried:
             active = active[
                 (share[active] < 1 - 1e-12) & (self.stride[active] > _SHORTEST)
             ]
+
         return np.asarray(share >= 1 - 1e-12)

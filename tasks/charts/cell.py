@@ -114,6 +114,7 @@ def from_arrays(family: Family, arrays: Mapping[str, np.ndarray]) -> list[Cell]:
         patches = [value_of(Patch, of_patch) for of_patch in of_patches]
         why = str(of_cell["why"].item())
         cells.append(Cell(box, structure_of(family, box), patches, why))
+
     return cells
 
 
@@ -188,6 +189,7 @@ class Lines:
             else:
                 numbers.append(len(self.pieces) + len(new))
                 new.append(unit)
+
         if new:
             self.survey(box.at(np.array(new)), structure)
 
@@ -302,6 +304,7 @@ class _Maker(Maker):
             tuning = Tuning(self.family, self.box, axis)
             if tuning.largest < _BALANCED * gentlest:
                 continue
+
             low = self.box.low[axis]
             high = self.box.high[axis]
             for share, face, is_tuned in zip(
@@ -310,6 +313,7 @@ class _Maker(Maker):
                 if is_tuned:
                     at = low + share * (high - low)
                     raise Refused("tuned walkers at a face", axis, at, face)
+
             if (value := tuning.inside()) is not None:
                 raise Refused("tuned walkers inside", axis, value)
 
@@ -330,7 +334,9 @@ class _Maker(Maker):
                     f"{len(known)} of {len(group)} lines have a piece",
                     self.rougher(present),
                 )
+
             groups.append(known)
+
         return groups
 
     def rougher(self, values: np.ndarray) -> int:
@@ -352,6 +358,7 @@ class _Maker(Maker):
                 least = float((other * sign).max() + _WIDTH) * sign
                 if sign * (least - self.window[k]) > 0:
                     ends[k] = self.end(group, k, least)
+
         return ends
 
     def end(
@@ -369,9 +376,11 @@ class _Maker(Maker):
         if (beyond > _CLEAR).all():
             cut = edge + sign * min(2 * _CLEAR, 0.5 * float(beyond.min()))
             return _End(CUT, Chart((1,) * self.d, np.array([[cut]]), error=0.0))
+
         if beyond.max() > _REACH:
             why = "a piece ends in the window or far from it"
             raise Refused(why, self.rougher(np.clip(beyond, -1, _REACH)))
+
         return self.end_of_piece(group, k, q)
 
     def end_of_piece(
@@ -385,6 +394,7 @@ class _Maker(Maker):
         """
         if all(piece.vanishes(k) for piece in group):
             return self.small_steps(group, k)
+
         # Near vanishing steps the slope is a smooth function of angle over rate, on
         # whose square the angle depends.
         rate = max(piece.rate_beside(k) for piece in group)
@@ -397,8 +407,10 @@ class _Maker(Maker):
             if kinds[0] == FOLD:
                 return _End(FOLD, slope)
             return _End(END, slope, vanishing=vanishing)
+
         if EVENTS.issuperset(kinds.tolist()):
             return self.event(q, (-1, 1)[k], vanishing)
+
         why = f"a piece ends at {' or '.join(kinds)}"
         raise Refused(why, self.rougher(number.astype(float)))
 
@@ -452,6 +464,7 @@ class _Maker(Maker):
             vanishing=(low.vanishing, high.vanishing),
         )
         gaits, side = self.gaits(group, span)
+
         return Patch(
             lines=self.unit[: self.few],
             numbers=np.array([[piece.number, piece.place] for piece in group]),
@@ -474,6 +487,7 @@ class _Maker(Maker):
             # Rounding over step size grows from node to node: it is measured at each
             # gait.
             along[-1][:] = np.nan
+
         return along
 
     def gaits(self, group: list[Piece], span: Span) -> tuple[Chart, float]:
@@ -498,6 +512,7 @@ class _Maker(Maker):
         sides = side_of_fold(self.stride(span, drawn, gaits(drawn)))
         if not (sides == way.side).all():
             raise Refused("a fold lies inside")
+
         return gaits, way.side
 
     def stride(
@@ -529,6 +544,7 @@ class _Maker(Maker):
                 self.take_piece(patch, pieces, unit[None], within)
             if any(self.is_near(*piece.q, 0.0) for piece in pieces):
                 raise Refused("a line has a further piece")
+
         for patch in patches:
             self.check_ends(patch)
         return patches
@@ -559,12 +575,14 @@ class _Maker(Maker):
         for position, kind in zip((-1.0, 1.0), patch.kinds, strict=True):
             if kind not in (CUT, BEYOND):
                 continue
+
             points = np.column_stack([np.full(len(edges), position), edges])
             q = patch.span.log_slope(points)
             _, check = verify_steps(self.problem(edges), patch.gaits(points), q)
             if check.doubt.any():
                 why = "samples do not tell whether gaits at a piece's end are steps"
                 raise Refused(why)
+
             if kind == CUT and not check.step.all():
                 raise Refused("a piece ends before it is cut")
             if kind == BEYOND and check.step.any():
@@ -584,6 +602,7 @@ class _Maker(Maker):
         high = min(ends[1], piece.q[1])
         if low >= high:
             return np.inf
+
         q = low + (high - low) * np.array([0.2, 0.5, 0.8])
         w = patch.gaits(patch.span.points(q, np.repeat(unit, 3, axis=0)))
         return float(np.abs(w - piece.gaits(q)).max())
@@ -642,6 +661,7 @@ class _Way:
         for piece, unit in zip(self.group, lines, strict=True):
             on_line = np.column_stack([position, np.tile(unit, (n, 1))])
             of_lines.append(piece.gaits(self.span.log_slope(on_line)).ravel())
+
         between = Chart.of_corners(lines, np.array(of_lines).T)(points[:, 1:])
         at_all = between.reshape(-1, n, len(points))
         return np.asarray(at_all[:, place, np.arange(len(points))])
@@ -673,4 +693,5 @@ class _Way:
             lost = np.abs(points - start)[~there, 1:]
             why = f"a gait is lost on its way to {len(lost)} nodes"
             raise Refused(why, int(lost.sum(axis=0).argmax()))
+
         return gaits.Z + guesses(points)

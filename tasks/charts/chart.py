@@ -65,6 +65,7 @@ class Chart:
             coefficients = np.moveaxis(
                 np.tensordot(inverse, coefficients, axes=(1, axis)), 0, axis
             )
+
         return cls(sizes, coefficients.reshape(values.shape[1], -1), size=size)
 
     @classmethod
@@ -117,6 +118,7 @@ class Chart:
         for k in range(0, len(order), block):
             some = order[k : k + block]
             values[some] = self._sums(points[some], coefficients)
+
         return values.T
 
     def _sums(self, points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
@@ -139,8 +141,10 @@ class Chart:
                 sums = _product(basis, by_node.reshape(n, -1))
             else:
                 sums = _terms(basis, sums[place[first]].reshape(len(first), -1, n, c))
+
             sums = sums.reshape(len(first), -1, c)
             place = np.cumsum(is_new) - 1
+
         return sums[place, 0]
 
     def tails(self, last: int = 1) -> np.ndarray:
@@ -158,6 +162,7 @@ class Chart:
         for axis in range(d):
             ends = np.moveaxis(sizes, axis, 0)[-last:]
             tails[axis] = ends.reshape(-1, c).sum(axis=0)
+
         return tails / self.size
 
     def range_of(self, column: int) -> tuple[float, float]:
@@ -230,6 +235,7 @@ def fit(
         tails = chart.tails().max(axis=1)
         why = f"predictions err by {chart.error:.1g}"
         raise Refused(why, int(np.argmax(tails[-keys:])))
+
     return chart
 
 
@@ -259,6 +265,7 @@ def more_nodes(
         if tail > goal:
             grown = min(_grown(sizes[axis], tail, goal), most[axis])
             sizes[axis] = max(sizes[axis], grown)
+
     return tuple(sizes) if tuple(sizes) != chart.sizes else None
 
 

@@ -80,6 +80,7 @@ def cut(extension: Extension, lost: np.ndarray) -> Region:
             return Cut(extension, axis, 1 if mean[axis] > 0 else -1).region()
         except Refused as why:
             refused.append(why)
+
     raise refused[0]
 
 
@@ -136,7 +137,9 @@ class Cut:
             raise self.refused("ends in two ways")
         if powers := self.powers(Z, unit):
             return self.up_to_vanishing(sizes, unit[:, self.axis], powers)
+
         turns = self.turns(Z, unit)
+
         return Region(
             self.axis,
             self.side,
@@ -176,7 +179,9 @@ class Cut:
             turned[active] = points.stride[active] < _LEAST_STRIDE
             if (np.abs(unit[:, self.axis]) > _FARTHEST).any():
                 raise self.refused("counts far beyond the box")
+
             active = active[~ended[active] & ~turned[active]]
+
         return points.Z, unit, turned
 
     def advance(
@@ -244,6 +249,7 @@ class Cut:
         curve = Chart.through(more, at[None])
         if not np.isfinite(curve.coefficients).all():
             raise self.refused("vanishes along a curve that is not smooth")
+
         return Region(
             self.axis,
             self.side,
@@ -269,7 +275,9 @@ class Cut:
                 change = moment(at) / rate
             if not (np.abs(change) < _NEAR).all():
                 return np.full(len(at), np.nan)
+
             at[:, self.axis] -= change
+
         return at[:, self.axis]
 
     def powers(self, Z: np.ndarray, unit: np.ndarray) -> tuple[float, ...]:
@@ -278,6 +286,7 @@ class Cut:
         """
         if self.maker.structure.kneed:
             return ()
+
         off = self.vanishing(unit) - unit[:, self.axis]
         if not ((off * self.side > 0) & (np.abs(off) < _BESIDE)).all():
             return ()
@@ -295,6 +304,7 @@ class Cut:
         off = np.abs(growth - powers[:, None])
         if not solved.ok.all() or off.max() > _IRREGULAR or not powers[:-1].any():
             return ()
+
         return tuple(powers.tolist())
 
     def turns(self, Z: np.ndarray, unit: np.ndarray) -> np.ndarray:
@@ -313,6 +323,7 @@ class Cut:
             V = V + change
             if np.abs(change).max() < 1e-8:
                 return np.asarray(V[-1])
+
         raise Refused(f"a {self.kind} is lost where it counts", self.axis)
 
     def at_turn(self, V: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -70,6 +70,7 @@ def divide(
         if not is_worth(part):
             parts[place] = make(part, "few walkers")
             continue
+
         try:
             parts[place] = make(part, "")
         except Refused as refused:
@@ -79,6 +80,7 @@ def divide(
             left += [
                 ((*place, i), half) for i, half in enumerate(halves(part, refused))
             ]
+
     return [parts[place] for place in sorted(parts)]
 
 
@@ -124,6 +126,7 @@ def make_cells(
     if not box.origin:
         tuned = [Tuning(family, box, axis).outside() for axis in range(len(box.keys))]
         box = replace(box, origin=tuple(value or 0.0 for value in tuned))
+
     lines = Lines(family)
     count = lines_in(box)
     described: list[float] = []  # lines in boxes that were
@@ -142,6 +145,7 @@ def make_cells(
 
     if count < many or not is_worth(box):
         return Cells(divide(box, cell, is_worth, _MAX_SPLITS))
+
     try:
         return Cells([cell(box, "")])
     except Refused as refused:

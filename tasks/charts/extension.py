@@ -211,6 +211,7 @@ class Extension:
                 raise Refused(why, int(lost.sum(axis=0).argmax()))
             Z[:, ~ok] = carried.Z
             rows[:, ~ok] = carried.rows
+
         return self.fitted(sizes, region, Z, rows)
 
     def fitted(

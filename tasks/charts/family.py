@@ -40,6 +40,7 @@ class Family:
         if along:
             drive = Drive(along, float(line["slope"]))
             fixed[along] = 0.0
+
         text = json.dumps([line["walker"], fixed], sort_keys=True)
         return cls(text, tuple(keys), drive)
 

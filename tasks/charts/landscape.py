@@ -144,6 +144,7 @@ def points_at(
     while (due := designs.left if every else designs.due()).any():
         for k in np.flatnonzero(due.any(axis=0)).tolist():
             designs.solve(k, np.flatnonzero(due[:, k]))
+
     return join_lanes(designs.parts), designs.near, designs.flags
 
 
@@ -194,6 +195,7 @@ class _Designs:
                 & (value < self.served[name][:, None] + _TIE)
                 & np.isfinite(value)
             )
+
         return due
 
     def solve(self, k: int, lanes: np.ndarray) -> None:
@@ -208,6 +210,7 @@ class _Designs:
             value = values(name, points.log_slope, points.log_froude)
             served = np.where(which, value, np.inf)
             self.served[name][lanes] = np.minimum(self.served[name][lanes], served)
+
         self.parts.append(points)
 
 
@@ -312,6 +315,7 @@ class _Surveyor:
             of_line = lanes_of(points, points.line == i)
             of_line.line = np.zeros(len(of_line.line), int)
             lines.append(_Line(self.structure, keys, of_line))
+
         self.lines += lines
         self.take(unit, lines, shares)
 
@@ -358,10 +362,13 @@ class _Surveyor:
             new, shares = self.unknown(patterns)
             if not len(new):
                 break
+
             self.survey(new, shares)
+
         vanishing = [ANY_SLOPE in points.kind[points.walks] for points in self.points]
         if len(set(vanishing)) > 1:
             raise Refused("some designs walk at any slope", self.roughest())
+
         return Landscape(
             self.box, self.structure, self.manifolds, patterns, vanishing[0]
         )
@@ -388,9 +395,11 @@ class _Surveyor:
         for i, name, number in self.extremes():
             if self.lies_on(solved, i, number):
                 continue
+
             kind = self.points[i].kind[number]
             if not is_located(kind):
                 raise Refused(f"a branch ends at {kind}", self.roughest())
+
             try:
                 self.add(i, name, number)
             except Refused:
@@ -398,7 +407,9 @@ class _Surveyor:
                     raise
                 self.left.add(i)
                 continue
+
             return True
+
         return False
 
     def add_rivals(self) -> None:
@@ -475,8 +486,10 @@ class _Surveyor:
                     agrees &= j < 0
                 elif points.kind[number] != ANY_SLOPE:
                     agrees &= j >= 0 and _is_same(points, number, solved, j)
+
             if near[i]:
                 (patterns if agrees else others).add(flags[i].tobytes())
+
         return patterns - others
 
     def unknown(self, patterns: set[bytes]) -> tuple[np.ndarray, list[float]]:
@@ -502,6 +515,7 @@ class _Surveyor:
             if place.tobytes() not in surveyed:
                 places.append(place)
                 shares.append(len(members) / len(self.lattice))
+
         return np.array(places[:_MAX_LINES]).reshape(-1, self.d), shares[:_MAX_LINES]
 
     def roughest(self) -> int:
@@ -511,6 +525,7 @@ class _Surveyor:
             points = self.points[i]
             numbers = np.concatenate([*best(points, 1, self.window).values()])
             kinds.append(" ".join(points.kind[numbers[numbers >= 0]]))
+
         _, number = np.unique(kinds, return_inverse=True)
         number = number.reshape((len(_NODES),) * self.d)
         changes = [(np.diff(number, axis=k) != 0).sum() for k in range(self.d)]

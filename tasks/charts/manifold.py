@@ -221,6 +221,7 @@ class Manifold:
             further = newton_step(some, step.Z[:, again], rows[:, again])
             step.Z[:, again] = further.Z
             error[again] = self._error(further.last_step) + further.rounding
+
         points = classify(
             self.kind, step.at, np.arange(len(unit)), step.Z, rows, error, walks
         )
@@ -249,6 +250,7 @@ def _walks(
     lanes = np.flatnonzero(near)
     if not len(lanes):
         return walks
+
     Z = step.at.Z[:, lanes]
     stride = None
     if condition.walking:
@@ -256,6 +258,7 @@ def _walks(
         Z = step.Z[:, lanes] + condition.walking * _INSIDE * step.direction[:, lanes]
     else:
         stride = lanes_of(step.at.stride, lanes)
+
     _, check = verify_steps(problem.some(lanes), Z[:-1], Z[-1], stride)
     walks[lanes] = check.anthropomorphic
     return walks

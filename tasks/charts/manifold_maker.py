@@ -54,6 +54,7 @@ def make_manifold(extension: Extension) -> Manifold:
             first = extension.fitted(sizes, region, points.Z, points.rows)
         else:
             region = cut(extension, nodes[~there])
+
     first = first or extension.chart(region, sizes)
     total = _MAX_NODES**extension.d
     return measured(extension, region, _fit(extension, region, first, _GOOD, total))
@@ -159,6 +160,7 @@ def measured(
     left = np.abs(first.Z - solved.Z).max(axis=0)
     linear = (left / np.maximum(first.last_step, LEAST)).max()
     quadratic = _quadratic(extension.box, step, solved.Z)
+
     return Manifold(
         extension.kind, extension.target, region, chart, float(linear), quadratic
     )

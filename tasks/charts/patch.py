@@ -92,6 +92,7 @@ class Patch:
         """The part of the span in which all gaits are steps."""
         if not self.reach.any():
             return self.span
+
         d = len(self.span.ends.sizes)
         keys = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=d)))
         low, high = self.span.ends(keys)
@@ -122,6 +123,7 @@ class Patch:
         node = np.abs(points[:, :1] - roots(last + 1)).argmin(axis=1)
         around = [np.clip(node + i, 0, last) for i in (-1, 0, 1)]
         largest = np.max([lipschitz[k] for k in around], axis=0)
+
         return Guesses(
             w=self.gaits(points),
             slope=slope,

@@ -149,6 +149,7 @@ def pieces_of(branches: list[Branch]) -> list[Piece]:
             place = int(branch.piece(np.array([first]))[0])
             of_ends = (kinds[0], kinds[1]), (q[0], q[1])
             pieces.append(Piece(branch, number, place, first, last, *of_ends))
+
     return pieces
 
 
@@ -173,6 +174,7 @@ def _distance(
         first, last = np.clip(piece.q, low - _REACH, high + _REACH)
         gaits.append(piece.gaits(first + (last - first) * _SHARES))
         spans.append(np.array([first, last]))
+
     off = np.abs(gaits[0] - gaits[1]).max() + np.abs(spans[0] - spans[1]).max()
     return float(off)
 
@@ -215,12 +217,15 @@ def match(
                         column,
                     )
                 )
+
         for distance, row, column in sorted(pairs):
             is_free = groups[row][i] is None and column in new
             if is_free and distance < _FAR:
                 groups[row][i] = pieces[column]
                 new.remove(column)
+
         for column in sorted(new):
             groups.append([None] * len(lines))
             groups[-1][i] = pieces[column]
+
     return groups

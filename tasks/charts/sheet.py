@@ -254,5 +254,7 @@ def fit_sheets(
                     done.append((sheet.number, replace(whole, served=served)))
                 elif not halves:
                     done.append((sheet.number, Sheet(sheet.span)))
+
         asked = again
+
     return done

@@ -43,6 +43,7 @@ def along(
     """
     if vanishing[0]:
         return 1 - along(1 - share, folds[::-1], vanishing[::-1])
+
     low, high = folds
     if vanishing[1]:
         return np.expm1(-vanishing[1] * (share**2 if low else share)) / np.expm1(
@@ -50,6 +51,7 @@ def along(
         )
     if low and high:
         return 0.5 * (1 - np.cos(np.pi * share))
+
     return share**2 if low else 1 - (1 - share) ** 2 if high else share
 
 
@@ -74,13 +76,16 @@ def coordinate(
     """
     if vanishing[0]:
         return 1 - coordinate(1 - share, folds[::-1], vanishing[::-1])
+
     share = np.clip(share, 0.0, 1.0)
     low, high = folds
     if vanishing[1]:
         way = -np.log1p(share * np.expm1(-vanishing[1])) / vanishing[1]
         return np.sqrt(way) if low else way
+
     if low and high:
         return np.arccos(1 - 2 * share) / np.pi
+
     return np.sqrt(share) if low else 1 - np.sqrt(1 - share) if high else share
 
 
@@ -144,6 +149,7 @@ class Span:
         start, stop = self.part
         share = start + (stop - start) * 0.5 * (1 + points[:, 0])
         low, high = self.folds
+
         return np.asarray(
             np.clip(
                 np.minimum(share if low else 1.0, 1 - share if high else 1.0),
@@ -196,6 +202,7 @@ class Span:
         if not depth:
             yield self
             return
+
         n = math.ceil(min(depth, farthest) / widest)
         edges = np.minimum(1.0, np.arange(n + 1) * widest / depth).tolist()
         for k in range(n):

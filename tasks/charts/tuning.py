@@ -95,6 +95,7 @@ class Tuning:
         crossing = np.flatnonzero(np.sign(slopes[1:]) != np.sign(slopes[:-1]))
         if not len(crossing):
             return None
+
         low, high = sorted(places[crossing[0] : crossing[0] + 2].tolist())
         at = bracketed_root(lambda x: float(self.balanced(np.array([x]))[0]), low, high)
         unit = np.full((1, len(self.box.keys)), self.others)

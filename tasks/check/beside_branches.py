@@ -54,6 +54,7 @@ def _judge_solved(case: Case, problem: Problem, lanes: Numbers, q: LogSlopes) ->
     nearer = np.flatnonzero(is_nearer)
     if not len(nearer):
         return
+
     _, check = verify_steps(problem, w[:, nearer], q[nearer])
     gaits.passes[nearer] = check.leg_passes
     nearer = nearer[check.step & ~check.doubt]

@@ -19,6 +19,7 @@ def judge_faults(case: Case) -> None:
         lanes = case.open
         if not len(lanes):
             return
+
         given = case.states(lanes)
         state = change(given, case.slopes(lanes), times)
         numbers = case.match(lanes, state, CHANGED)
@@ -27,6 +28,7 @@ def judge_faults(case: Case) -> None:
         are = (numbers >= 0) & ~is_same
         case.take_candidates(lanes[are], numbers[are], state[:, are])
         case.say_fault(verdict, lanes[are])
+
     _judge_before_heelstrike(case)
 
 

@@ -82,6 +82,7 @@ class Grounds:
         """
         if not len(slope):
             return []
+
         found: list[Gaits] = []
         for lanes, problem, branches, counted in self.of(slope):
             for number, gaits in enumerate(gaits_at(problem, branches, counted)):
@@ -94,4 +95,5 @@ class Grounds:
             for gaits in gaits_at(problem, branches, slope[down]):
                 found.append(Gaits.none(len(slope)))
                 found[-1].put(down, gaits)
+
         return found

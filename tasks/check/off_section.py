@@ -46,6 +46,7 @@ def fly(case: Case) -> None:
     lanes = case.open[np.isfinite(case.belongs[case.open])]
     if not len(lanes):
         return
+
     rows, links = case.rows, case.rows.links(lanes)
     is_straight = ~rows.bent[lanes]
     if is_straight.any():
@@ -97,6 +98,7 @@ def _fly(case: Case, lanes: Numbers, links: np.ndarray) -> None:
     """Fly states of links (6, k) with the swing foot above the ground to the section."""
     if not len(lanes):
         return
+
     section, outcome = fly_on(
         case.general.some(lanes),
         links,

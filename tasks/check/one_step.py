@@ -57,12 +57,14 @@ def _judge_shanks(case: Case, lanes: Numbers) -> None:
     lanes = lanes[has_rate & ~case.flown[lanes]]
     if not len(lanes):
         return
+
     state = case.states(lanes)
     given = state[2]
     if case.walker.knees:
         problem = case.general.some(lanes)
         sections = case.sections(lanes, state)
         given = problem.start(sections, case.slopes(lanes))[3]
+
     found = case.rows.shank[1, lanes]
 
     size = np.maximum(magnitudes(state)[2], np.abs(given))

@@ -144,6 +144,7 @@ def _origins(
         nearer = are & (distance < least)
         origin[nearer] = found.slopes(along)[nearer]
         least[nearer] = distance[nearer]
+
     return origin
 
 
@@ -188,6 +189,7 @@ def _judge_level(case: Case, lanes: Numbers) -> None:
     lanes = lanes[case.slopes(lanes) != 0]
     if not case.grounds.is_driven or not len(lanes):
         return
+
     level = np.zeros(len(lanes))
     for gaits in case.grounds.gaits_at(level):
         are = case.within(case.states(lanes), gaits.state, lanes, CHANGED)

@@ -69,6 +69,7 @@ class Rows:
         on_section = [0, 2, 3]
         shank, bent = _knees(walker, params, ours[1], of_table[1])
         shank[1] *= unit
+
         return cls(
             state=ours[on_section].copy(),
             thigh=ours[1],
@@ -129,6 +130,7 @@ def _knees(
             raise WalkerError(angle, where, line)
         if KNEE[1] not in params["table"]:
             raise WalkerError(KNEE[1], "no column", f"is needed: a knee bends, {where}")
+
     return shank, bent
 
 

@@ -30,6 +30,7 @@ def take_steps(case: Case) -> None:
     lanes = case.steppable
     if not len(lanes):
         return
+
     slope = case.slopes(lanes)
     problem = case.general.some(lanes)
     sections = [case.sections(lanes, case.states(lanes))]
@@ -58,6 +59,7 @@ def judge_several_steps(case: Case) -> None:
     lanes = lanes[case.outcome[lanes] == STRUCK]
     if not len(lanes):
         return
+
     start = case.sections(lanes, case.states(lanes))
     sections, times = [start], list[np.ndarray]()
     for steps in range(1, MAX_STEPS_OF_STATES + 1):

@@ -34,6 +34,7 @@ def ranges(pieces: Sequence[tuple[float, float]]) -> str:
         if apart and low <= apart[-1][1]:
             low, high = apart[-1][0], max(high, apart.pop()[1])
         apart.append((low, high))
+
     return "; ".join(
         " to ".join(dict.fromkeys((f"{low:.6g}", f"{high:.6g}"))) for low, high in apart
     )
@@ -82,6 +83,7 @@ def beyond(label: str, pieces: Sequence[tuple[float, float]], slope: float) -> s
         return (
             f"No {label} gait: none between {max(below):.6g} and {min(above):.6g} rad."
         )
+
     return f"No {label} gait: none " + (
         f"above {max(below):.6g} rad." if below else f"below {min(above):.6g} rad."
     )

@@ -37,6 +37,7 @@ def table(
         for row in rows
     ]
     values = zip(*each, strict=True) if each else [()] * len(names)
+
     return {
         f"{group}/{name}": np.array(column)
         for name, column in zip(names, values, strict=True)

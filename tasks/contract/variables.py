@@ -192,6 +192,7 @@ def _admit_derivative(name: str) -> None:
     measure = name.removesuffix(BY_KEY)
     if name in VARIABLES or name == measure or not derivatives([measure]):
         return
+
     own = VARIABLES[measure]
     VARIABLES[name] = replace(
         own,
@@ -219,6 +220,7 @@ def admit(names: Iterable[str]) -> None:
         for name in derivatives([*VARIABLES]):  # in the order of their measures
             if name in VARIABLES:
                 VARIABLES[name] = VARIABLES.pop(name)
+
     for name in names - {
         own
         for variable in VARIABLES.values()
@@ -227,6 +229,7 @@ def admit(names: Iterable[str]) -> None:
         added = extensions.find("measures", name, Variable)
         if added is None:
             continue
+
         like = Variable(
             name, ("gait",), added.kind, added.long_name, over_steps=added.over_steps
         )
@@ -238,7 +241,9 @@ def admit(names: Iterable[str]) -> None:
             raise extensions.ExtensionError(
                 f"`{name}` has another name, kind or group than a measure of a package may"
             )
+
         VARIABLES[name] = added
+
     for name in sorted(
         v.name for v in VARIABLES.values() if v.measure
     ):  # in whatever order they came

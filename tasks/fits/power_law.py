@@ -67,6 +67,7 @@ def fit(x: np.ndarray, y: np.ndarray) -> PowerLaw | None:
 
     if len(x) < 3:
         return None
+
     log_x, log_y = np.log(x), np.log(y)
     from_mean = log_x - log_x.mean()
     slope = float(from_mean @ (log_y - log_y.mean()) / (from_mean @ from_mean))
@@ -77,6 +78,7 @@ def fit(x: np.ndarray, y: np.ndarray) -> PowerLaw | None:
     residual = log_y - (intercept + slope * log_x)
     error = np.sqrt(residual @ residual / (len(x) - 2) / (from_mean @ from_mean))
     half_width = float(stdtrit(len(x) - 2, 0.975) * error)
+
     return PowerLaw(
         slope,
         min(slope - half_width, local.min()),
@@ -127,7 +129,9 @@ def plateaus(
             for extremes in (high, low):
                 if extremes[0] < start:
                     extremes.popleft()
+
     runs.append((start, len(p)))
+
     return [
         (a, b)
         for a, b in runs

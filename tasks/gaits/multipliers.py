@@ -89,6 +89,7 @@ def characteristic(jacobian: ndarray, sign: float = -1.0) -> ndarray:
     if len(jacobian) == 2:
         (a, b), (c, d) = jacobian
         return np.stack([a + d, a * d + sign * b * c])
+
     (a, b, c), (d, e, f), (g, h, i) = jacobian
     minors = (a * e + sign * b * d) + (a * i + sign * c * g) + (e * i + sign * f * h)
     determinant = (
@@ -241,5 +242,6 @@ def other_multipliers(kind: str, jacobian: ndarray) -> ndarray:
         pair = np.argsort(-turning, axis=1)[:, :2]
         sizes[lanes[:, None], pair] = 0.0
         sizes[turning.max(axis=1) < 1e-9] = np.inf
+
     sizes[np.isnan(values)] = np.inf
     return np.asarray(sizes.max(axis=1))

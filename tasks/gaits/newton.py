@@ -186,6 +186,7 @@ class _DampedNewton:
         """Which of the lanes that run on lie in a cell with a smaller step's."""
         if not self.merge_cell or self.group is None:
             return np.zeros(len(lanes), bool)
+
         nearest_first = lanes[running][
             np.argsort(self.size[lanes[running]], kind="stable")
         ]
@@ -267,6 +268,7 @@ def curvature(
         lanes = lanes[~is_small]
         if not len(lanes):
             break
+
     return lipschitz, gradient
 
 

@@ -227,6 +227,7 @@ def settle(
 
     step, doubt, leg_passes = _happen(guesses, near, gaits)
     change, error = _characteristic_changes(measured, near, last, gaits.bound)
+
     return Polished(
         gaits.y,
         gaits.state,
@@ -274,6 +275,7 @@ class _Approach:
                 np.full((samples + 1, *phase.shape[1:]), np.nan)
                 for phase in stride.one.motion
             ]
+
         eta = np.full(len(slope), np.inf)
         return cls(problem, slope, guesses.lipschitz, samples, w, stride, scale, eta)
 
@@ -297,6 +299,7 @@ class _Approach:
                 self.w[:, lanes], np.log(self.slope[lanes]), samples=self.samples
             )
             replace_lanes(self.stride, lanes, moved)
+
         return ended
 
     # Where nothing is measured, its product with a step of 0 decides nothing.
@@ -337,6 +340,7 @@ def _measured(guesses: Guesses, near: _Approach, eta: PerLane) -> Guesses:
             problem.some(lanes), w[:, lanes], log_slope[lanes], near=_NEAR_STATES
         )
         std[:, lanes] = np.nan_to_num(found, nan=np.inf)
+
     return replace(guesses, lipschitz=lipschitz, gradient=gradient, rounding_std=std)
 
 
@@ -378,6 +382,7 @@ def _in_doubles(measured: Guesses, near: _Approach, eta: PerLane) -> _Gaits:
 
     converges = (2 * measured.lipschitz * eta < 1) & (eta < _TRUSTED)
     amplification = (moves / sizes).max(axis=0)
+
     return _Gaits(
         y, times, state, bound, amplification, converges & (bound < _MAX_BOUND)
     )
@@ -412,6 +417,7 @@ def _in_more_digits(
         near.stride.one.impact[..., lane] = gait.impact
         gaits.bound[lane] = gait.error
         gaits.converged[lane] = gait.error < extended_precision.ESCALATE_AGAIN
+
     return unsure
 
 
@@ -458,6 +464,7 @@ def _happen(
         step[lanes] = check.step & ~check.doubt
         doubt[lanes] = check.step & check.doubt
         leg_passes[lanes] = check.leg_passes
+
     return step, doubt, leg_passes
 
 

@@ -170,6 +170,7 @@ def rounding_std(
         moved = w.copy()
         moved[0] += _NEIGHBOUR * neighbour
         variances.append(_variance(problem, moved, np.exp(log_slope)))
+
     known = np.isfinite(variances)
     summed = total(np.where(known, variances, 0.0))
     return np.sqrt(summed / known.sum(axis=0))

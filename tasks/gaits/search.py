@@ -136,6 +136,7 @@ def _lattices(
         if slope == VANISHING and len(slopes) > 1:
             whole = whole[:, :0]
         lattices.append(whole[:, i % shares :: shares])
+
     return lattices
 
 
@@ -223,6 +224,7 @@ def _small_guesses(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndar
         w = np.array([np.log(angle), *used, period])
         is_slow = (np.abs(used) < fastest).all(axis=0)
         found.append(w[:, is_slow])
+
     return found
 
 
@@ -332,6 +334,7 @@ def search_lines(
     # Only what converges with coarse integration is integrated exactly.
     w, group = solve(w, group, 1e-3, coarse=True, merge_cell=_MERGE_CELL, **limits)
     w, group = solve(w, group, 1e-5)
+
     return [
         [w[:, group == i + len(slopes) * line] for line in lines]
         for i in range(len(slopes))
@@ -345,11 +348,13 @@ def _starts(
     walker = problem.walker_of(line)
     if problem.drive.base is None:
         return starts(walker, drives, shares)
+
     of_each = []
     for i, drive in enumerate(drives):
         pushing, slope = problem.drive.at(walker, drive)
         [guesses] = starts(pushing, [slope])
         of_each.append(guesses[:, i % shares :: shares])
+
     return of_each
 
 
@@ -379,4 +384,5 @@ def distinct(
         near = np.abs(w[:, kept[first:]] - w[:, [i]]).max(axis=0) <= apart
         same[i] = first + near.argmax() if near.any() else len(kept)
         kept += [] if near.any() else [i]
+
     return np.array(kept, int), same

@@ -58,6 +58,7 @@ def verify_steps(
             w[:, lanes], log_slope[lanes], samples=samples
         )
         replace_lanes(check, lanes, verified(fine))
+
     return stride, check
 
 

@@ -55,6 +55,7 @@ def scuffing(paper: Paper) -> Found:
     straight = _flags_of(paper, _STRAIGHT, "scuff")
     kneed = _flags_of(paper, _KNEED, "scuff")
     depth = _of_figure_3(paper)["scuff_depth"]
+
     return found(
         verdict(straight.all() and not kneed.all()),
         depth,
@@ -94,6 +95,7 @@ def hyperextension(paper: Paper) -> Found:
         for label in BOTH
     }
     bent = _measure(paper, "C", (1e-4,))["hyperextension"]
+
     return found(
         REPRODUCED,
         release["slope"],

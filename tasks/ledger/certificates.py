@@ -57,14 +57,17 @@ def backed(name: str, finding: ClaimResult, folder: Path = FOLDER) -> ClaimResul
         or not math.isfinite(finding.value)
     ):
         return finding
+
     certificates = [json.loads(path.read_text(encoding="utf-8")) for path in kept]
     middle, radius = map(Fraction, certificates[0]["slope"])
     if abs(Fraction(finding.value) - middle) > radius + Fraction(ROUNDING) * middle:
         return finding
+
     statements = "; ".join(
         part for certificate in certificates for part in _statements(certificate)
     )
     verdict = PROVED if finding.verdict == REPRODUCED else finding.verdict
+
     return replace(
         finding, verdict=verdict, computed=f"{finding.computed}; proved: {statements}"
     )

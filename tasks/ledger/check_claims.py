@@ -90,6 +90,7 @@ def _rows(ids: Iterable[str], paper: Paper) -> list[dict[str, Any]]:
         raise ValueError(
             f"there is no claim {unknown[0]}; there are {', '.join(CLAIMS)}"
         )
+
     wanted = sorted(
         (CLAIMS[name] for name in ids), key=lambda c: (c.id[0], int(c.id[1:]))
     )

@@ -129,6 +129,7 @@ class _Sentences(string.Formatter):
             )
         if isinstance(value, list | tuple | np.ndarray):
             return ", ".join(self.format_field(one, format_spec) for one in value)
+
         return (
             f"{value:g}".replace("e-0", "e-")
             if format_spec == "plain"

@@ -29,10 +29,12 @@ def diagonal(paper: Paper) -> Found:
     for name in TUNED:
         M = mass(CATALOGUE[name])
         deviation = max(deviation, abs(M[0, 1]), abs(M[1, 1] - 1))
+
     light = {}
     for ratio in (0.1, 0.01, 1e-3, 1e-4):
         walker = paper.line("E", foot_mass_ratio=ratio).walker
         light[f"{ratio:g}"] = mass(walker)[0, 0] / ratio
+
     untuned = mass(CATALOGUE["physical"])[0, 1]
     least = light["0.0001"]
     holds = verdict(deviation < 1e-14 and abs(least - 1) < 1e-3)
@@ -126,6 +128,7 @@ def freed_knee(paper: Paper) -> Found:
         (locked,) = contact_mass(straight, np.array([0.1]))
         off = np.linalg.norm(free - locked)
         change[f"{hip:g} kg"] = off / np.linalg.norm(locked)
+
     hipless = change["0 kg"]
     falls = change["100 kg"] < hipless
     holds = verdict(hipless < 0.05 and falls, falls)
@@ -147,6 +150,7 @@ def silly_wheel(paper: Paper) -> Found:
         w, stride, steps = search(problem, slope)
         if stride is None or steps is None:
             continue
+
         ratio = gait_ratio(stride)
         is_long = steps.anthropomorphic & (ratio < LONG_BELOW)
         if is_long.any():
@@ -155,6 +159,7 @@ def silly_wheel(paper: Paper) -> Found:
             name = f"{radius:g}"
             need[name] = slope / angle**3
             mismatch[name] = float(ratio[last_long]) / angle**2
+
     first, *_, last = mismatch.values()
     *_, last_need = need.values()
     holds = verdict(last < 0.2 * first and last_need < 0.05 * need["0.2"])
@@ -174,6 +179,7 @@ def dimension(paper: Paper) -> Found:
     four = magnitudes("physical")
     three = magnitudes("physical-straight")
     holds = four[3] == 0 and four[2] > 1e-9 and three[2] > 1e-9
+
     return found(
         verdict(holds),
         four[2],

@@ -205,6 +205,7 @@ def kneed_doublings(paper: Paper) -> Found:
     limit = {w: _doublings(paper, w, "1", "accumulation") for w in at}
     continues = all(each["flips"][0] >= 3 for each in limit.values())
     holds = PRINTED["K1"].compare(*printed.bounds) if continues else NOT_REPRODUCED
+
     return found(
         holds, *printed.bounds, at=at, limit=limit, exact=exact, printed=printed
     )
@@ -253,6 +254,7 @@ def _compute_corners(paper: Paper, walker: str) -> Arrays:
             [paper.line(walker).arrays],
         )
         brackets.append((float(ends["lost/low"][0]), float(ends["lost/high"][0])))
+
     return table("corners", brackets, ("low", "high"))
 
 
@@ -275,6 +277,7 @@ def unstable_beyond(paper: Paper) -> Found:
         for c in curves
     }
     least = min(c["spectral_radius"][c["slope"] > loss].min() for c in curves)
+
     return found(
         verdict(min(top.values()) > loss and least > 1),
         min(top.values()),
@@ -297,6 +300,7 @@ def re_pairing(paper: Paper) -> Found:
     touch = np.nonzero((turns["turn"] == "key") & (turns["kind"] == "fold"))[0]
     if not len(touch):
         raise ValueError("the curve of folds has no turning point in the detuning")
+
     at = {name: values[touch[0]] for name, values in turns.items()}
     beside = (at["value"] - 0.004, at["value"] + 0.004)
     near = [
@@ -313,6 +317,7 @@ def re_pairing(paper: Paper) -> Found:
         f"at detuning {d:.4f} neighbouring folds at {', '.join(f'{s:.4f}' for s in folds) or 'no slope'}"
         for d, folds in zip(beside, near, strict=True)
     )
+
     return found(
         verdict(sorted(map(len, near)) == [0, 2]),
         at["value"],
@@ -336,6 +341,7 @@ def never_more(paper: Paper) -> Found:
         for name in coverage[WALKERS[0]]
     }
     most = whole["anthropomorphic"].max()
+
     return found(
         verdict(most <= PRINTED["G1"].number),
         most,
@@ -372,6 +378,7 @@ def chaos(paper: Paper, walker: str) -> tuple[int, str]:
     value, error, slope = exponent(
         paper, walker, limit + np.array([0.3, 0.5, 0.7]) * (limit - at[1]), 12
     )
+
     return int(value > 4 * error), (
         f"doublings of period {family} from {at[0]:.6g}, accumulating at {limit:.6g}; "
         f"Lyapunov exponent {value:.3f} ({error:.3f}) at {slope:.5g}"

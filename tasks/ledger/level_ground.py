@@ -64,8 +64,10 @@ def pushing_off(paper: Paper) -> Found:
             for name in ("froude_speed", "cost_of_transport")
         )
         exponent[label] = 1 + of_cost / of_speed
+
     is_a_fourth = farthest(ratio.values(), 4) < 1e-2
     is_avoided = min(ratio.values()) > 100
+
     return found(
         verdict(is_avoided, is_a_fourth),
         ratio["D long"],
@@ -92,6 +94,7 @@ def retarding(paper: Paper) -> Found:
         "long": passive["froude_speed"][0, LONG],
     }
     is_faster = speed["short, retarded"] > speed["long"]
+
     return found(
         verdict(is_faster and saved > work, saved > 0.5 * work),
         saved / work,

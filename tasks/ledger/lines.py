@@ -131,6 +131,7 @@ class Line:
         changes = np.nonzero(np.sign(values[1:]) * np.sign(values[:-1]) < 0)[0]
         if not len(changes):
             return float("nan")
+
         low, high = (float(np.log(s)) for s in slope[changes[0] : changes[0] + 2])
         root = bracketed_root(
             lambda q: float(function(self.at([float(np.exp(q))], want))[0]),
@@ -160,7 +161,9 @@ class Line:
             raise ValueError(
                 f"the {GAITS[gait]} gaits around slope {slope:g} lie on two curves"
             )
+
         x = pair["slope"] if abscissa == "slope" else pair[abscissa][:, gait]
+
         return float(
             np.diff(np.log(pair[ordinate][:, gait]))[0] / np.diff(np.log(x))[0]
         )
@@ -233,6 +236,7 @@ class Line:
                             f"gaits between slopes {a['slope']:g} and {b['slope']:g} differ in stability"
                         )
                     parts.append((a, b) if a["slope"] < b["slope"] else (b, a))
+
         return sorted(parts, key=lambda part: part[0]["slope"])
 
     @functools.cached_property
@@ -349,6 +353,7 @@ class Paper:
 
         if given := columns(self.tables.get(key, {})):
             return given
+
         made = self._made.setdefault(key, {})
         if not columns(made):
             made.update(make())
@@ -396,6 +401,7 @@ def paper_of(lines: Sequence[Mapping[str, Any]], inputs: Sequence[Arrays]) -> Pa
     if given not in _last:
         _last.clear()
         _last[given] = Paper({key: atlas for key, atlas in atlases.items() if atlas})
+
     paper = _last[given]
     paper.tables = {
         key: {name: x for name, x in data.items() if "/" in name}

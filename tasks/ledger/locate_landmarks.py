@@ -66,11 +66,13 @@ def landmarks(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             for end in special_of("end_zero_step")[:1]:
                 place = (end["slope"], np.nan, np.nan, end["stance_angle"])
                 rows.append(("point 4", walker, "4", *NOT_PRINTED, *place))
+
         if walker in _FLIPS:
             flip = special_of("flip")[0]
             slope = flip["slope"]
             place = (slope, slope, slope, flip["stance_angle"])
             rows.append((f"{walker} flip", walker, "", *_FLIPS[walker], *place))
+
     return table("landmarks", rows, _COLUMNS) if rows else {}
 
 
@@ -98,6 +100,7 @@ def crises(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     for walker in _walkers(params):
         if walker not in _CRISES:
             continue
+
         low, high = crisis(paper, walker, "1")
         middle = 0.5 * (low + high)
         if walker in HALF_UNITS:
@@ -105,6 +108,7 @@ def crises(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         name = f"{walker} loss of walking"
         place = (middle, low, high, np.nan)
         rows.append((name, walker, "", *_CRISES[walker], *place))
+
     return table("crises", rows, _COLUMNS) if rows else {}
 
 

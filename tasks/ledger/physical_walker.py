@@ -23,6 +23,7 @@ def smallest_slopes(paper: Paper) -> Found:
     )
     marks = {"P1": kneed, "P1, straight legs": straight}
     verdicts = [PRINTED[name].compare(*mark.bounds) for name, mark in marks.items()]
+
     return found(
         max(verdicts, key=VERDICTS.index), *kneed.bounds, kneed=kneed, straight=straight
     )
@@ -42,6 +43,7 @@ def stability(paper: Paper) -> Found:
         for a, b in stable
     )
     value = stable[0][1]["slope"] if stable else math.nan
+
     return found(
         verdict(least > 1 and bool(stable)),
         value,
@@ -95,6 +97,7 @@ def points_3_4(paper: Paper) -> Found:
         if end
         else ""
     )
+
     return found(
         verdict(fourth["stance_angle"] < 1e-4),
         *third.bounds,
@@ -123,6 +126,7 @@ def slowest(paper: Paper) -> Found:
     holds = verdict(
         are_slowest and vanishing < 1e-4 * straight[0] and slowest < 0.5 * kneed[0]
     )
+
     return found(
         holds,
         slowest,
@@ -144,6 +148,7 @@ def later_kneestrike(paper: Paper) -> Found:
         else f"with decreases of {-100 * falls:.2f} % in total"
     )
     holds = verdict(falls == 0, -falls < 0.02)
+
     return found(
         holds, share[0], first=100 * share[0], last=100 * share[-1], rising=rising
     )

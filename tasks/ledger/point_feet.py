@@ -68,6 +68,7 @@ def short_two_laws(paper: Paper) -> Found:
     light = paper.line("E", foot_mass_ratio=1e-4).exponent(SHORT, 1e-3)
     linear = farthest(small.values(), 1) < 1e-4
     cube = farthest(large.values(), 1 / 3) < 0.05 and abs(light - 1 / 3) < 0.01
+
     return found(
         verdict(linear and cube),
         large["E"],
@@ -113,6 +114,7 @@ def similar_curves(paper: Paper) -> Found:
     short = of_F[:, SHORT] / of_E[:, SHORT]
     long = of_F[:, LONG] / of_E[:, LONG]
     apart = abs(short[3] - 1)
+
     return found(
         verdict(apart < 0.02, apart < 0.1),
         short[3],

@@ -52,6 +52,7 @@ def figure9(paper: Paper) -> list[dict[str, Any]]:
         row["leg_offset"] = residual["leg_offset"]
         row["shank_offset"] = residual.get("shank_offset", np.nan)
         rows.append(row)
+
     return rows
 
 
@@ -72,12 +73,15 @@ def figure10(paper: Paper) -> list[dict[str, Any]]:
             for when, slope in _SLOPES.items():
                 row[f"{gait}_angle_{when}"] = gaits.exponent(g, slope)
                 row[f"{gait}_power_{when}"] = gaits.exponent(g, slope, "power", "speed")
+
         for when in ("vanishing", "larger"):
             speed = gaits.at([_SLOPES[when]])["speed"][0]
             row[f"faster_{when}"] = "short" if speed[SHORT] > speed[LONG] else "long"
+
         row["crossing_slope"] = speed_crossing(paper, name)
         row["chaotic"], row["chaos"] = chaos(paper, name)
         rows.append(row)
+
     return rows
 
 
@@ -107,6 +111,7 @@ def rounding(paper: Paper) -> list[dict[str, Any]]:
             }
             for key in bounds.sensitivity
         ]
+
     return rows
 
 
@@ -127,6 +132,7 @@ def _cells(paper: Paper) -> list[dict[str, Any]]:
             deviation = float(computed != printed)
             if printed == "not checked":
                 deviation = np.nan
+
         said = NOT_CHECKABLE
         if not np.isnan(deviation):
             said = verdict(deviation < TOLERANCE, deviation < 10 * TOLERANCE)
@@ -140,6 +146,7 @@ def _cells(paper: Paper) -> list[dict[str, Any]]:
             "deviation": deviation,
         }
         cells.append(cell)
+
     return cells
 
 
@@ -188,6 +195,7 @@ def whole_table(paper: Paper) -> Found:
         f"{name}: {rows[name]['chaos'].replace('; ', ', ')}" for name in ("E", "A", "B")
     )
     holds = verdict(strict == total, loose == total)
+
     return found(
         holds,
         strict,

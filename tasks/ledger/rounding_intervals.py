@@ -128,13 +128,16 @@ def place(gaits: Line, mark: Landmark) -> np.ndarray:
         for branch in gaits.branches:
             passed = passings(gaits.problem, branch, CONDITIONS[mark.kind])
             rows += [point.Z[:, 0] for _, point in passed]
+
     if mark.label:
         rows = [
             Z for Z in rows if mark.label == ("short" if gaits.is_short(Z) else "long")
         ]
+
     rows.sort(key=lambda Z: float(Z[-1]))
     if len(rows) <= mark.which:
         raise ValueError(f"{mark.walker} has no {mark.name}")
+
     return rows[mark.which]
 
 

@@ -46,6 +46,7 @@ def long_stable(paper: Paper) -> Found:
     flip = paper.line("D").special_of("flip")[0]["slope"]
     below = paper.line("D").grid(high=flip, n=61)
     largest = below["spectral_radius"][:-1, LONG].max()
+
     return found(
         PRINTED["D2"].compare(flip) if largest < 1 else NOT_REPRODUCED,
         flip,
@@ -72,10 +73,12 @@ def heelstrike_direction(paper: Paper) -> Found:
         change = np.diff(np.log(ratio[1:, :2]), axis=0)
         ratios[walker] = ratio
         power[walker] = change[0] / np.log(slopes[2] / slopes[1])
+
     of_long, of_short = zip(*(_asymmetry(paper, s) for s in slopes), strict=True)
     falls = all(p[LONG] > 0.3 for p in power.values())
     rises = all(abs(power[w][SHORT] + 1) < 0.02 for w in "ABEF")
     is_reversed = of_long[2] < 1e-3 and of_short[2] > 0.1
+
     return found(
         verdict(falls and rises and is_reversed),
         power["E"][SHORT],
@@ -102,6 +105,7 @@ def _asymmetry(paper: Paper, slope: float) -> tuple[float, float]:
         for angle in (stance, swing):
             both_ways = np.abs(angle + angle[::-1])
             off = max(off, float(both_ways.max()))
+
         return off / float(stance[0])
 
     return distance("long"), distance("short")
@@ -119,6 +123,7 @@ def cube_roots(paper: Paper) -> Found:
     drifts = zip(period.values(), PERIODS, strict=True)
     drift = farthest((one - limit for one, limit in drifts), 0)
     holds = verdict(deviation < 1e-4 and drift < 1e-4)
+
     return found(
         holds,
         angle["long"],
@@ -140,10 +145,12 @@ def fourth_power(paper: Paper) -> Found:
         power = gaits["power"][0, gait]
         speed = gaits["speed"][0, gait]
         factors.append(power / speed**4 / weight)
+
     limits = [_power_factor(period) for period in PERIODS]
     ratios = [a / b for a, b in zip(factors, limits, strict=True)]
     is_fourth = farthest(exponents.values(), 4) < 1e-3
     holds = verdict(is_fourth and farthest(ratios, 1) < 1e-4)
+
     return found(
         holds, exponents["long"], exponents=exponents, factors=factors, limits=limits
     )
@@ -167,6 +174,7 @@ def swing_at_heelstrike(paper: Paper) -> Found:
     at = d.at([0.009])["heelstrike_rate_ratio"] - 1
     long, short = rate[:, LONG], rate[:, SHORT]
     holds = verdict((long <= 0).all() and (short > 0).all())
+
     return found(
         holds,
         at[0, SHORT],

@@ -63,6 +63,7 @@ def conditions(paper: Paper) -> Found:
     untuned = {name: worst[name] for name in worst if name not in tuned}
     compass = max(abs(x) for x in statics(GOSWAMI).values())
     holds = verdict(set(tuned) == set(TUNED) and is_tuned(GOSWAMI))
+
     return found(
         holds, untuned["C-printed"], tuned=tuned, compass=compass, untuned=untuned
     )
@@ -119,6 +120,7 @@ def cusp_breaks(paper: Paper) -> Found:
         unstable[f"{d:g}"] = slope[slow & (radius > 1)].max(initial=0.0)
         fast = ~slow & (slope > 1.05 * slope[fold]) & (slope < 0.04)
         stable += [d] if (radius[fast] < 1).all() else []
+
     shifts = np.all(np.diff(list(least.values())) > 0) and min(least.values()) > 0
     holds = verdict(
         shifts and min(unstable.values()) > 0 and len(stable) == len(PANELS)
@@ -148,6 +150,7 @@ def short_end(paper: Paper) -> Found:
         if p["kind"] == "end_earlier_strike"
     )
     rises = all(np.all(np.diff(list(x.values())) > 0) for x in (slopes, angles))
+
     return found(
         verdict(rises), slopes["0.2"], slopes=slopes, angles=angles, others=others
     )
@@ -201,6 +204,7 @@ def not_generic(paper: Paper) -> Found:
         for side in (offset > 0, offset < 0)
     )
     printed = paper.line("C-printed").reaches[0].min()
+
     return found(
         verdict(min(least.values()) > 1e-7 and grows),
         slope[0],

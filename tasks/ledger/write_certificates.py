@@ -79,6 +79,7 @@ def _gait(about: Mapping[str, Any]) -> dict[str, Any]:
     (proof,) = prove_one({**about, "accuracy": 1e-12})["gaits"]
     if not proof["proved"]:
         raise tubes.NotProvedError(proof["reason"])
+
     stable = {True: "stable", False: "unstable", None: "of a stability not shown"}[
         proof["stable"]
     ]
@@ -86,6 +87,7 @@ def _gait(about: Mapping[str, Any]) -> dict[str, Any]:
         f"On the slope {slope} the walker has exactly one period-one gait in the box. It is a {label} step: its"
         f" strikes are the first of their kind and its legs pass once. It is {stable}."
     )
+
     return {
         "kind": "gait",
         "statement": statement,
@@ -168,6 +170,7 @@ def enclose_special(params: Mapping[str, Any]) -> dict[str, Any]:
     with ctx.workprec(interval.bits):
         box = {**named(tube.body, tube.whole[:-1]), "slope": interval.slope}
         values = multipliers(tube.step_derivative())
+
     return {
         "kind": params["kind"],
         "statement": statement,
@@ -207,6 +210,7 @@ def _tube(about: Mapping[str, Any]) -> dict[str, Any]:
         f"For every slope from {low} to {high} the walker has a {label} step that is stable, its strikes the first"
         " of their kind and its legs passing once; along the interval it is one continuous branch."
     )
+
     return {
         "kind": "tube",
         "statement": statement,

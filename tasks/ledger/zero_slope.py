@@ -47,6 +47,7 @@ def two_laws(paper: Paper) -> Found:
     at_middle = farthest(middle.values(), 1 / 3)
     at_large = farthest(large.values(), 1 / 3)
     holds = verdict(small and at_middle < 0.05, small and at_large < 0.1)
+
     return found(
         holds,
         middle["E"],
@@ -115,6 +116,7 @@ def mass_limit(paper: Paper) -> float:
             raise ArithmeticError(
                 f"Newton's method does not converge at a foot mass ratio of {ratio:g}"
             )
+
         return solution, float(
             np.abs(
                 multipliers(problem.stride(solution, q)[0].jacobian, problem.m)

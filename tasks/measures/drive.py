@@ -143,6 +143,7 @@ def _free_mass(chain: Chain, q: ndarray) -> list[list[ndarray]]:
         row = [lever.real, lever.imag]
         row += [total(M[i][j] for i in g for j in h) for h in groups]
         rows.append(row)
+
     return rows
 
 

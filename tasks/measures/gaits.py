@@ -102,6 +102,7 @@ def nothing_solved(names: Sequence[str], n: int, kneed: bool) -> Arrays:
         sizes = [inner[dim] for dim in VARIABLES[name].dims[1:]]
         shape = (n, len(GAITS), *sizes)
         out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
+
     out["reason"][:] = [
         status.NO_LONG,
         status.NO_SHORT,
@@ -206,6 +207,7 @@ def to_accuracy(out: Arrays, accuracy: float) -> None:
     """
     if not accuracy:
         return
+
     out = _of_used_labels(out)
     bits = significant_bits(accuracy)
     unit = 0.5 ** (bits + 1) if bits < MANTISSA else 0.0
@@ -266,6 +268,7 @@ def round_bits(values: np.ndarray, bits: int) -> np.ndarray:
     drop = MANTISSA - bits
     if drop <= 0:
         return values
+
     whole = np.ascontiguousarray(values).view(np.uint64)
     half = np.uint64((1 << (drop - 1)) - 1)
     even = (whole >> np.uint64(drop)) & np.uint64(1)
@@ -302,6 +305,7 @@ def describe(
     """
     if problem.drive.key != SLOPE:
         return _described_by_drive(problem, at, slope, want, limits)
+
     slope = problem.slopes(slope)
     problem = problem.over(OVER_SLOPE)
     stride, walker = at.stride, problem.every_walker
@@ -314,15 +318,18 @@ def describe(
         of_gaits["energy_imbalance"] = energy_imbalance(
             walker, slope, of_gaits, problem.steps
         )
+
     solved |= without_features(want, problem.features, len(slope)) | of_gaits
     if any(VARIABLES[name].group == "multipliers" for name in want):
         solved |= measured_multipliers(
             stride.jacobian, at.change, at.error, walker.knees
         )
+
     solved = {name: np.array(value) for name, value in solved.items()}
     for name, value in solved.items():
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
             value[code != status.CONVERGED] = np.nan
+
     return solved
 
 
@@ -367,6 +374,7 @@ def _described_by_drive(
         places.append(some)
 
     order = np.argsort(np.concatenate(places))
+
     return {
         name: np.concatenate([part[name] for part in parts])[order] for name in parts[0]
     }
@@ -413,6 +421,7 @@ def steps_of(
 
     ends = times.reshape(s, -1, n)[:, -1]
     begins = np.vstack([np.zeros((1, n)), ends[:-1]]).ravel()
+
     return Steps(
         single,
         walker,
@@ -449,6 +458,7 @@ def of_all_steps(measured: Arrays, steps: int) -> Arrays:
         measured["unlocking_torque_time"] = np.take_along_axis(
             begins + measured["unlocking_torque_time"], worst, 0
         )
+
     return {
         name: _OVER_STEPS[VARIABLES[name].over_steps](values)
         for name, values in measured.items()
@@ -560,6 +570,7 @@ class Steps:
                         np.asarray(function(self, measured), float), self.slope.shape
                     )
                 )
+
         return measured
 
     @cached_property
@@ -580,6 +591,7 @@ class Steps:
             begin, end = self.y[0], self.y[0][self.after]
             of_hip = hip_torque_work(walker, begin, end)
             work["hip_torque_work"] = of_hip * unit
+
         return work
 
     def _losses(self) -> Arrays:
@@ -593,11 +605,13 @@ class Steps:
         if walker.knees:
             knee = kneestrike_loss(walker, stride.knee * scale)
             losses["loss_kneestrike"] = knee * unit
+
         if walker.has_hip_torque:
             damped = np.zeros(len(end))
             if np.any(walker.hip_damping):
                 damped = damping_loss(walker, self._dissipation())
             losses["loss_damping"] = damped * unit
+
         return losses
 
     def motion(self) -> list[np.ndarray]:
@@ -701,6 +715,7 @@ def of_travel(
         by_drive = total(supplied.values()) / distance
         of_gaits["cost_of_transport"] = of_gaits["cost_of_transport"] + by_drive
         of_gaits["mechanical_cost_of_transport"] = by_drive
+
     return of_gaits
 
 

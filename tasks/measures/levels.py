@@ -84,6 +84,7 @@ def measures_at(names: Sequence[str], at: Evaluation) -> Arrays:
     """
     if at.problem.drive.key != SLOPE:
         return _measures_by_drive(names, at)
+
     slope = at.problem.slopes(np.exp(at.q))
     problem = at.problem.over(OVER_SLOPE)
     walkers = problem.every_walker

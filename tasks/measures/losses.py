@@ -174,6 +174,7 @@ def heelstrike_losses(
     if push is not None:
         velocity[..., 0] += push.translation.real
         velocity[..., 1] += push.translation.imag
+
     if chain.massless:
         return 0.5 * (_to_hip(chain, angle) * velocity).sum(axis=-1) ** 2, np.zeros(
             len(angle)

@@ -235,8 +235,10 @@ class Sampled:
         if label:
             has_label = np.concatenate(is_long) == (label == "long")
             some &= has_label
+
         if not some.any():
             return None
+
         every = every[some]
         return float(every.min()), float(every.max())
 
@@ -266,6 +268,7 @@ class Sampled:
             located = known._locate(k[lane], wanted[value[lane]])
             X[:, lane] = located
             ok[lane] = np.isfinite(located).all()
+
         ok &= ~_are_twins(value, X, ok)
         return Passed(value[ok], place[ok], X[:, ok])
 
@@ -323,6 +326,7 @@ class Sampled:
         is_near = abs(off(place)) <= _LEFT * ends.max()
         if not is_near:
             return np.full(len(chord), np.nan)
+
         return corrected(place)[:, 0]
 
     def _is_between(
@@ -361,12 +365,14 @@ def _solve(
         far = np.flatnonzero(found.ok & (found.last_step > _LAST_STEP))
         if not len(far):
             break
+
         some = _of_lanes(equations, far)
         again = solve(some, found.Z[:, far], found.rows[:, far])
         # Where a step of rounding fails, the gait is as near as it comes.
         again.last_step[~again.ok] = 0.0
         again.ok[:] = True
         _replace(found, far, again)
+
     return found.Z, found.ok
 
 

@@ -301,6 +301,7 @@ class Programme:
             of_each = [each.missed(at) for each in self.constraints]
             values[block] = self.objective.values(at, X[:, block])
             missed[block] = np.minimum(np.sum(of_each, axis=0), _NO_STEP)
+
         return values, missed
 
     def improve(self, guess: Gait) -> Optimum:
@@ -366,6 +367,7 @@ class Programme:
         else:
             value, gradient = rows[-1], derivative[-1]
             rows, derivative = rows[:-1], derivative[:-1]
+
         return _Linear(factor * float(value), factor * gradient, rows, derivative)
 
     def _missed(self, X: Gait) -> ndarray:

@@ -132,6 +132,7 @@ class KeyOfWalker:
             if self._are_walkers(low, high):
                 return low, high
             reach /= 10
+
         why = f"has no walkers beside {self.value:.6g}"
         raise WalkerError(self.name, self.value, why)
 
@@ -170,6 +171,7 @@ class KeyOfWalker:
             constants = constants_of(WalkerArray.of(walkers), structure)
             if _are_smooth(constants):
                 return finer
+
         why = "is special: walkers beside it, however near, do not tend to its own"
         raise WalkerError(self.name, self.value, why)
 
@@ -498,6 +500,7 @@ def _differences(
         lanes = np.flatnonzero(is_rough.any(axis=0))
         if not len(lanes):
             break
+
         stencil = stencil.finer(10)
         finer = _by_stencil(
             rows,
@@ -510,6 +513,7 @@ def _differences(
         )
         is_better = finer[1] < off[:, lanes]
         found[:, :, lanes] = np.where(is_better, finer, found[:, :, lanes])
+
     return found
 
 
@@ -580,6 +584,7 @@ def differentiated(
         by_keys = rows.named(by_all_keys(own, Z, rows), jacobian)
         for name, values in by_keys.items():
             found[name + BY_KEY][lanes[some]] = values.T
+
     return found
 
 
@@ -650,12 +655,14 @@ def slope_by_keys(problem: Problem, condition: Condition, Z: Gait) -> dict[str, 
             keys = key.unknown(problem)
         except WalkerError:
             continue
+
         beside = partial(_beside, problem.walker, key.name)
         keys = replace(keys, walkers_at=beside)
         equations = Equations(keys, [condition]).over(problem.drive)
         X = np.append(Z, key.value / keys.scale)
         by_key = sensitivity(equations, X)[-1, 0]
         found[key.name] = float(np.exp(Z[-1]) * by_key)
+
     return found
 
 
@@ -719,4 +726,5 @@ def _at_gaits(
             derivatives[key.name] = gaits.by_key(key)
         except WalkerError as error:
             absent[key.name] = str(error)
+
     return derivatives, absent

@@ -75,6 +75,7 @@ class Smooth:
         if set(want) & set(_MULTIPLIERS):
             m = problem.step.m
             entries = [f"{i}{j}" for i, j in itertools.product(range(m), repeat=2)]
+
         smooth = ("stance_angle", *rates, "period", _RATIO, *optional, *entries)
         return cls(problem, want, smooth)
 
@@ -106,6 +107,7 @@ class Smooth:
         for name, (factor, divisor) in _factors(walker, slope, solved).items():
             if name in self.names:
                 values[name] = solved[name] * factor / divisor
+
         values |= {name: jacobian[int(name[0]), int(name[1])] for name in self.entries}
         fastest = (
             np.max([np.abs(solved[name]) for name in _RATES], axis=0)
@@ -119,6 +121,7 @@ class Smooth:
             self.entries, np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1)))
         )
         one = np.ones(len(drive))
+
         return np.stack([values[name] for name in self.names]), np.stack(
             [sizes.get(name, one) for name in self.names]
         )
@@ -138,6 +141,7 @@ class Smooth:
             want
         ):  # a kneestrike's time is a share of the period
             names.add("period")
+
         if _COST in want:
             names.update(name for name in _WORK if name in self.names)
         return [k for k, name in enumerate(self.names) if name in names]
@@ -159,6 +163,7 @@ class Smooth:
         m = math.isqrt(len(self.entries))
         jacobian = np.stack([columns[name] for name in self.entries]).reshape(m, m, -1)
         size = np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1)))
+
         return measured_multipliers(
             jacobian,
             0.0,
@@ -201,6 +206,7 @@ class Smooth:
         known |= dict(zip(("branch", "piece"), numbers, strict=True))
         solved = {name: np.broadcast_to(value, n) for name, value in known.items()}
         solved |= {name: columns[name] for name in self.want if name in _MULTIPLIERS}
+
         return (
             self._variables(drive, columns)
             | without_features(self.want, self.problem.features, n)
@@ -226,6 +232,7 @@ class Smooth:
         for name, (factor, divisor) in _factors(walker, slope, known).items():
             if name in columns:
                 known[name] = columns[name] * divisor / factor
+
         if "thigh_rate" in known and not walker.knees:
             known["shank_rate"] = known["thigh_rate"]
         known["step_length"] = step_length(walker, known["stance_angle"])
@@ -233,6 +240,7 @@ class Smooth:
             known["velocity_ratio"] = velocity_ratio(
                 walker, known["stance_angle"], known[_RATIO]
             )
+
         if "period" in known:
             known |= of_travel(walker, slope, known, steps=1)
         return known

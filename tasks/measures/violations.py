@@ -118,6 +118,7 @@ def greatest(
         is_higher = is_peak[best, lane] & (other > value)
         value = np.where(is_higher, other, value)
         position = np.where(is_higher, at, position)
+
     return value, position
 
 
@@ -150,6 +151,7 @@ def _peak(x: ndarray, best: ndarray) -> tuple[ndarray, ndarray]:
         # At an end the value is that of a sample; only inside can the polynomial exceed
         # the samples.
         is_larger = (refined > value) & (t > low) & (t < high)
+
     place = np.where(is_larger, t, at)
     return np.where(is_larger, refined, value), middle + _SIDE * place
 
@@ -166,6 +168,7 @@ def _to_top(powers: ndarray, t: ndarray, low: ndarray, high: ndarray) -> ndarray
         # at an end.
         step = np.where(curvature < 0, -slope / curvature, np.sign(slope))
         t = np.clip(t + np.where(np.isfinite(step), step, 0.0), low, high)
+
     return t
 
 
@@ -381,6 +384,7 @@ def _of_ground_force(chain: Chain, phases: list[_Phase], slope: ndarray) -> Arra
         demand = np.where(pulls, 0.0, force.real / np.where(pulls, 1.0, force.imag))
         largest = np.maximum(greatest(demand)[0], greatest(-demand)[0])
         friction = np.maximum(friction, np.where(pulls, np.inf, largest))
+
     return {"least_normal_force": least, "friction_demand": friction}
 
 
@@ -397,6 +401,7 @@ def _of_lock(chain: Chain, phases: list[_Phase], slope: ndarray) -> Arrays:
         end = phase.time[-1]
         time = begin + position / (len(phase.time) - 1) * (end - begin)
         when = np.where(is_worse, time, when)
+
     return {"unlocking_torque": torque, "unlocking_torque_time": when}
 
 
@@ -436,6 +441,7 @@ def _impacts(
         _, translation = _before_heelstrike(chain, phases[0].q[:, 0], impact, push)
         amounts["friction_demand_push_off"] = _ratio(push.direction)
         amounts["strike_velocity"] = -translation.imag
+
     if chain.kneed:
         q = phases[1].q[:, 0]
         jump = phases[1].rate[:, 0] - phases[0].rate[:, -1]
@@ -448,6 +454,7 @@ def _impacts(
         gained = total(mass * jump[j] for j, mass in enumerate(on_thigh))
         amounts["unlocking_impulse_heelstrike"] = -lock
         amounts["unlocking_impulse_kneestrike"] = -gained
+
     if chain.locks_trailing_knee:
         amounts["unlocking_impulse_trailing"] = trailing_lock
     return amounts
@@ -478,6 +485,7 @@ def flags(
             if name in amounts:
                 excess = -amounts[name] if violation.is_least else amounts[name]
                 bits |= (excess > limit).astype(np.int32) << k
+
     return bits
 
 
@@ -540,6 +548,7 @@ def measure(
                 for samples, begin, end in zip(motion, begins, times, strict=True)
             ]
             amounts = _amounts(chain, phases, impact[:, lanes], slope[lanes], pushed)
+
         amounts["violations"] = flags(amounts, limits)
         parts.append(amounts)
 
@@ -550,6 +559,7 @@ def measure(
         if name != "violations":
             values = values * unit[VARIABLES[name].kind]
         measured[name] = values
+
     return measured
 
 
@@ -570,6 +580,7 @@ def _units(walker: Walker) -> dict[str, float]:
     length = walker.leg
     time = walker.time_unit
     mass = walker.total_mass
+
     return {
         "length": length,
         "time": time,

@@ -52,11 +52,13 @@ def use() -> None:
     folder = usable_folder()
     if folder is None:
         return
+
     try:
         with contextlib.suppress(OSError):
             _locks[:] = [
                 os.open(folder / _LOCKS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             ]
+
         # A cache that another process is just making has no tables yet, which would
         # count as damage.
         with turn(""):
@@ -66,6 +68,7 @@ def use() -> None:
                 ):  # another program's
                     return
                 _remove(folder)
+
             hy.llvm_state.set_diskcache_path(str(folder))
             hy.llvm_state.set_diskcache_limit(_LIMIT)
             hy.llvm_state.set_diskcache_enabled(True)
@@ -95,6 +98,7 @@ def turn(name: str, meanwhile: Callable[[], object] = lambda: None) -> Iterator[
             meanwhile = lambda: time.sleep(0.05)  # noqa: E731
         except OSError:  # a file system without locks
             break
+
     try:
         yield
     finally:
@@ -115,12 +119,14 @@ def usable_folder() -> Path | None:
         shared = next(_shared(folder), None)
     except (OSError, RuntimeError):
         return None
+
     if shared:
         logging.getLogger("gaitsweep").warning(
             "gaitsweep: The compile cache in %s is not used: %s is no plain file or folder that only you may change.",
             folder,
             shared,
         )
+
     return None if shared else folder
 
 
@@ -150,6 +156,7 @@ def _shared(folder: Path) -> Iterator[Path]:
             status = file.lstat()
             if is_shared(status) or not stat.S_ISREG(status.st_mode):
                 yield file
+
     for place in (folder, *folder.parents):
         status = place.lstat()
         # In a sticky folder, such as `/tmp`, only the owner of an entry may replace it.
@@ -178,6 +185,7 @@ def is_shared(status: os.stat_result, allowed: int = 0) -> bool:
             group, user = grp.getgrgid(status.st_gid), pwd.getpwuid(os.geteuid())
             if group.gr_name == user.pw_name and not {*group.gr_mem} - {user.pw_name}:
                 mode &= ~stat.S_IWGRP
+
     return status.st_uid not in (0, os.geteuid()) or bool(
         mode & (stat.S_IWGRP | stat.S_IWOTH)
     )
@@ -201,6 +209,7 @@ def _is_intact(folder: Path) -> bool:
                         _ENTRIES
                     )
                 }
+
         with contextlib.closing(
             sqlite3.connect(folder / _SUMS, timeout=_TIMEOUT)
         ) as db:
@@ -215,6 +224,7 @@ def _is_intact(folder: Path) -> bool:
                     ((entry, entries[entry]) for entry in new),
                 )
                 db.commit()
+
         return all(known.get(entry, code) == code for entry, code in entries.items())
     except TypeError:
         return False  # a value of another type

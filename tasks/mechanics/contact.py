@@ -141,6 +141,7 @@ class Chain:
         for j in range(4):
             M[0][j] = M[0][j] + self.R * (self.S[j] * e[j]).imag
             M[j][0] = M[j][0] + self.R * (self.S_rows[j] * e[j]).imag
+
         M[0][0] = M[0][0] + self.R**2
         return M
 
@@ -181,6 +182,7 @@ class Chain:
             f[2] = f[2] + torque
             if not self.massless:
                 f[THIGH] = f[THIGH] - torque
+
         return f
 
     def accelerations(
@@ -451,4 +453,5 @@ def solve(A: list[list[ndarray]], b: list[ndarray]) -> list[ndarray]:
         for j in range(i):
             b[i] = b[i] - A[i][j] * x[j]
         x.append(b[i] / A[i][i])
+
     return x

@@ -57,9 +57,11 @@ def energies(
 
         height = y * hy.cos(slope) - x * hy.sin(slope)
         potential += part.mass * walker.g * height
+
     if walker.hip_stiffness:
         stretch = q[1] - q[0] - walker.hip_rest
         potential += 0.5 * walker.hip_stiffness * stretch**2.0
+
     return kinetic, potential
 
 

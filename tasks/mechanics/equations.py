@@ -71,6 +71,7 @@ class Symbols:
             self.S_c = vector("S_c")
             self.C_cc = values["C_cc"]
             self.H = vector("H")
+
         self._set_drive(structure, values)
 
     def _set_drive(self, structure: Structure, values: dict[str, Sym]) -> None:
@@ -80,6 +81,7 @@ class Symbols:
             self.hip_stiffness = values["hip_stiffness"]
             self.hip_damping = values["hip_damping"]
             self.hip_bias = values["hip_bias"]
+
         self.pushes_off = structure.pushes_off
         if structure.pushes_off:
             self.push = values["push"]
@@ -156,6 +158,7 @@ class Motion:
         for x in q:
             tilt = self.scale * x - p.hold(p.slope)
             self.tilt.append((hy.sin(tilt), hy.cos(tilt)))
+
         # These rotate constants of angles measured from the ground's normal.
         self.slope_trig = hy.sin(p.slope), hy.cos(p.slope)
 
@@ -168,6 +171,7 @@ class Motion:
         for j, (S, C) in enumerate(links, start=1):
             coupling = self._add_swing(j, S, C)
             self.couplings.append(coupling)
+
         self._add_joints()
         _, last_inertia = links[-1]
         self.last_pivot = p.hold(ONE / last_inertia)
@@ -281,6 +285,7 @@ class Motion:
             by_q[j][0] = link.by_stance * u[0] - lag
             by_q[j][j] = link.by_swing * u[0] + lag - falling[j]
             by_rate[j][0] = link.by_stance * twice[0]
+
         by_q[0][0] = by_stance
         self._differentiate_joints(u, by_q, by_rate)
         return by_q, by_rate
@@ -387,6 +392,7 @@ class Solver:
         for i in range(len(f)):
             others = sum((self.U[i][j] * x[j] for j in range(i)), ZERO)
             x.append((f[i] - others) * self.pivots[i])
+
         return x
 
 
@@ -459,6 +465,7 @@ def system(
         if with_slope and d == directions - 1:
             by_drive = motion.by_drive(structure.drive)
             change = [a + b for a, b in zip(change, by_drive, strict=True)]
+
         variation = solve([-x for x in change])
         equations += [*zip(dq, dv, strict=True), *zip(dv, variation, strict=True)]
 

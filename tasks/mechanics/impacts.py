@@ -91,6 +91,7 @@ def heelstrike(
     if free_knee:
         swing = _links(p)
         angles.append(swing_angle)
+
     M, _ = rows(p, angles, [ZERO] * len(angles), free_knee)
 
     turned = new.sweep(S)
@@ -101,6 +102,7 @@ def heelstrike(
     for S_j, inertia in swing:
         carried = old.sweep(S_j).dot(old.hip)
         momentum.append((carried + inertia) * stance_rate)
+
     return Solver(M)(_pushed(momentum, p, new, old))
 
 
@@ -117,6 +119,7 @@ def _on_ground(p: Symbols, angle: Sym, old_angle: Sym | None) -> tuple[_Leg, _Le
         old = _Leg(p, p.scale * old_angle)
         cosines = p.R * p.l * (new.cosine + old.cosine)
         between = new.angle - old.angle
+
     hips = p.R**2.0 + cosines + p.l**2.0 * hy.cos(between)
     return new, old, hips
 
@@ -199,5 +202,6 @@ def kneestrike(
     for row in free:
         terms = [mass * v for mass, v in zip(row, rate, strict=True)]
         momenta.append(sum(terms, ZERO))
+
     stance, thigh, shank = momenta
     return Solver(locked)([stance, thigh + shank])

@@ -290,6 +290,7 @@ class Flow:
         except ValueError:
             # heyoka refuses durations that are not finite.
             return
+
         kept = slice(to.stop - to.start)
         batch.final[:, to] = self._state[:, kept]
         batch.reached[to] = self._time[kept]
@@ -353,6 +354,7 @@ def flow(
             ),
         ):
             FLOWS[key] = Flow(*key)
+
     return FLOWS[key]
 
 

@@ -82,6 +82,7 @@ def _lump_all(walkers: WalkerArray, number: type) -> dict[str, PerLane]:
     if walkers.knees:
         S_b = _aligned(S_b)
         S_c = _aligned(S_c)
+
     knee = leg.knee
     of_thigh = m_t * _square(leg, leg.thigh, leg.key.r_t)
     C_bb = of_thigh + m_s * knee.dot(knee)
@@ -103,6 +104,7 @@ def _lump_all(walkers: WalkerArray, number: type) -> dict[str, PerLane]:
         }
     else:
         swing = {"S_b": S / inertia, "C_bb": leg.one}
+
     return _in_parts(_of_stance(leg, S, eps, inertia) | swing | of_drive)
 
 
@@ -128,6 +130,7 @@ def _of_drive(leg: _Leg, inertia: PerLane, massless: Marks) -> dict[str, Any]:
     time = _power(leg.length / key.g, leg.one / leg.two)
     torque = leg.mass * key.g * leg.length * inertia
     torque, time = (np.where(massless, leg.one, unit) for unit in (torque, time))
+
     return {
         "hip_stiffness": key.hip_stiffness / torque,
         "hip_damping": key.hip_damping / (torque * time),
@@ -161,6 +164,7 @@ def _in_parts(constants: dict[str, Any]) -> dict[str, PerLane]:
             parts[f"{name}_im"] = value.y
         else:
             parts[name] = value
+
     return parts
 
 
@@ -296,8 +300,10 @@ class Structure:
         at_strikes = self.locks_trailing_knee, self.pushes_off, self.drive == "push_off"
         if not any(at_strikes):
             return self
+
         constants = tuple(name for name in self.constants if name not in _AT_STRIKES)
         units = tuple(unit for unit in self.units if unit[0] not in _AT_STRIKES)
+
         return replace(
             self,
             constants=constants,
@@ -391,6 +397,7 @@ def structures_of(walkers: Sequence[Walker]) -> list[Structure]:
     for row, i in enumerate(special):
         of_walker = {name: float(values[row]) for name, values in constants.items()}
         structures[i] = _structure(walkers[i], of_walker)
+
     return structures
 
 
@@ -427,7 +434,9 @@ def _structure(walker: Walker | WalkerArray, constants: dict[str, float]) -> Str
     for name in general.constants:
         if constants[name] in (0.0, 1.0, -1.0):
             units[name] = float(constants[name])
+
     others = tuple(name for name in general.constants if name not in units)
+
     return replace(
         general,
         point_foot=walker.point_foot,
@@ -464,9 +473,11 @@ def constants_of(walkers: WalkerArray, structure: Structure) -> ndarray:
         parts = np.abs([constants[f"{name}_re"], constants[f"{name}_im"]])
         small, large = np.sort(parts, axis=0)
         near |= (small > 0) & (small < _NEARLY_TUNED * large)
+
     if near.any():
         lanes = np.flatnonzero(near)
         constants = _lump_all(walkers.some(lanes), real128)
         for row, name in enumerate(structure.constants):
             values[row, near] = constants[name].astype(float)
+
     return values

@@ -129,6 +129,7 @@ class SmallAngles:
             bending = push / self.eps * np.array([leaning, knee_x])
             gained[1] = bending
             gained[2] = -bending
+
         return gained
 
     def _rates_of(self, momentum: np.ndarray, locks_trailing_knee: bool) -> np.ndarray:
@@ -165,6 +166,7 @@ class SmallAngles:
         if self.point_foot:
             along = _rates_along(angle)
             return along * lack[0] / total(by_rates[0] * along)
+
         # By Cramer's rule, since both rates may do the same to all digits where a leg
         # falls fast.
         (a, b), (c, d) = by_rates
@@ -231,6 +233,7 @@ class SmallAngles:
             roots = _PERIODS[:-1, None] - off[:-1] * np.diff(_PERIODS)[
                 :, None
             ] / np.diff(off, axis=0)
+
         return np.sort(np.where(crosses, roots, np.nan), axis=0)[:2]
 
     def kneed_exchange(
@@ -458,6 +461,7 @@ class _Linear:
         """
         if self.D.any():
             return self._damped(times)
+
         # In the modes z'' = growth^2 z - force, solved for a unit angle, rate and
         # force.
         squares, modes = np.linalg.eig(

@@ -45,11 +45,13 @@ def small_gaits(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndarray
         if is_aligned and slope != smallest:
             found.append(np.zeros((4, 0)))
             continue
+
         off = off_rest + slope * off_slope
         period = np.concatenate(
             [_crossings(periods, off), _pairs(periods, off)],
         )
         found.append(_gaits(linear, period, slope))
+
     return found
 
 

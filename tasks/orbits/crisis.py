@@ -70,7 +70,9 @@ def surviving_slopes(
                     walk.lanes[change(walk.before, walk.y[:, walk.lanes]) < _SETTLED]
                 ]
             ] = False
+
         walk.lanes = walk.lanes[survives[number[walk.lanes]]]
+
     return survives
 
 
@@ -124,7 +126,9 @@ def _bracketed(
                 return np.nan, low
             if survives[-1]:
                 return high, np.nan
+
         k = int(np.argmin(survives))
         low = float(slope[k - 1])
         high = float(slope[k])
+
     return low, high

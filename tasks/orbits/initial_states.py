@@ -76,6 +76,7 @@ def labelled(
     for place, part in zip(places(angles, ratios), found, strict=True):
         index, verified, at = part
         parts.append((index, np.where(verified, place[index], -1), at))
+
     return parts
 
 

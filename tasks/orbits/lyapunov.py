@@ -44,6 +44,7 @@ def orthogonalised(A: ndarray) -> tuple[ndarray, ndarray]:
         has_image = size > 0
         divisor = np.where(has_image, size, 1.0)
         Q[:, k] = np.where(has_image, v / divisor, 0.0)
+
     return Q, diagonal
 
 

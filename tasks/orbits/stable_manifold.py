@@ -115,6 +115,7 @@ def stable_manifold(
         a = np.where(changes, b, a)
         at_a = np.where(changes, at_b, 0.5 * at_a)
         b, at_b = x, at_x
+
     return best[:, nearest < _REACHED]
 
 
@@ -142,6 +143,7 @@ def _brackets(
         *_, at_a, at_b = pair
         is_parted = at_a * at_b < 0
         parts.append([each[..., is_parted] for each in pair])
+
     a, b, at_a, at_b = (
         np.concatenate(part, axis=-1) for part in zip(*parts, strict=True)
     )
@@ -183,4 +185,5 @@ def _leave(
         distance = norm(off) / np.linalg.norm(saddle.y)
         nearest[lanes] = np.minimum(nearest[lanes], distance)
         walk.lanes = lanes[(np.abs(along) < _LEFT) | (taken < _APPROACH)]
+
     return leaves, nearest

@@ -65,6 +65,7 @@ class Walk:
             before = self.y[:, self.lanes]
             if not len(lanes):
                 return
+
             step = stride(self.problem.some(lanes), before, self.slope[lanes], exact)
             self.y[:, lanes] = step.image
             self.times[:, lanes] = step.times

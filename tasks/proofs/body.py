@@ -167,6 +167,7 @@ def body(keys: Mapping[str, Number], kneed: bool, trailing_knee: str = "free") -
     if not is_light:
         first = first + moment
         second = second + 2 * l * moment.y + inertia
+
     return Body(
         R=k["R"],
         l=l,
@@ -213,6 +214,7 @@ def _swing_links(
 
     coupling = knee.times_conjugate(shank)
     leg_inertia = thigh_inertia + shank_inertia + 2 * coupling.x
+
     return _SwingLinks(
         (thigh, thigh_inertia),
         (shank, shank_inertia),
@@ -239,13 +241,16 @@ def _drive(
     none = arb(0)
     if all(_is_zero(k.get(key, none)) for key in _OF_DRIVE):
         return None
+
     torque = time = arb(1)
     if light is not None:
         length = l + k["R"]
         torque = light * k["g"] / length
         time = (length / k["g"]).sqrt()
+
     stiffness = k.get("hip_stiffness", none)
     bias = stiffness * k.get("hip_rest", none) + k.get("hip_torque", none)
+
     return Drive(
         push=k.get("push_off", none),
         knee=knee,

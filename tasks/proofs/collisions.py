@@ -39,6 +39,7 @@ def push_off(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
     size = 1 + len(swing)
     if body.drive is None:
         return arb_mat(size, 1), arb_mat(size, 1)
+
     with _two_terms():
         old = _sin_cos(arb_series([angle, 1]))
         new = _sin_cos(arb_series([-angle, -1]))
@@ -88,11 +89,13 @@ def heelstrike(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
             spin = hip_after.dot(turning) + inertia
         else:
             spin = 0 * both
+
         before = [[both, spin]]
         for first, second in swing:
             own = second + (body.coupling.x if body.frees_trailing_knee else 0)
             carried = first.turned(*old).normal().dot(hip_before)
             before.append([carried + own, 0 * both])
+
         return _solved(rows, before)
 
 
@@ -122,6 +125,7 @@ def kneestrike(body: Body, stance: arb, swing: arb) -> tuple[arb_mat, arb_mat, a
             of_stance, of_thigh, of_shank = free
             of_swing = [a + b for a, b in zip(of_thigh, of_shank, strict=True)]
             maps.append(_solved(locked, [of_stance, of_swing]))
+
     return maps[0][0], maps[0][1], maps[1][1]
 
 
@@ -178,6 +182,7 @@ def _mass(
                 ],
             ]
         )
+
     return rows
 
 

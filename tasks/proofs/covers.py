@@ -71,6 +71,7 @@ def stable_over(
             branch = branch.moved_to(piece, slope)
             begin = (slope + (1 - OVERLAP) * half).mid()
             half *= 1.1
+
     return cover
 
 
@@ -92,6 +93,7 @@ class _Nearby:
         for c, t, b in by_order:
             middle.append((c + t * shift + b * shift**2 / 2).mid())
             tangent.append((t + b * shift).mid())
+
         middle[-1] = slope
         tangent[-1] = arb(1)
         return middle, tangent
@@ -127,6 +129,7 @@ def _stable_piece(
     for tube in neighbour:
         least = [2 * float(abs(k).upper()) for k in tube.image]
         radii = list(map(max, radii, least))
+
     piece = tube_image(walker, BY_SLOPE, (middle, tangent, arb(half)), radii, TOLERANCE)
     if not piece.is_proved():
         raise NotProvedError("Krawczyk's operator does not map the tube into itself.")
@@ -136,4 +139,5 @@ def _stable_piece(
         raise NotProvedError(
             "Two neighbouring tubes do not hold the same gait where they meet."
         )
+
     return piece

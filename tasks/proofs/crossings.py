@@ -86,9 +86,11 @@ def bracketed(
             raise NotProvedError(
                 "The gaits at the interval's ends are not those of the tube."
             )
+
         values = function(ends[0]), function(ends[1])
         if not (values[0] * values[1] < 0):
             raise NotProvedError("The test function is not shown to change its sign.")
+
         every = whole.whole
         return Interval(every[-1], every[0], values, whole, ctx.prec)
 
@@ -110,12 +112,15 @@ def _zero(
         other = function(trial).mid()
         if other == value:
             break
+
         reach, current, value = (-other * reach / (other - value)).mid(), trial, other
         if abs(reach) < half / 100:
             return current
+
         reach = max(
             min(reach, 0.02 * abs(current.middle[p])), -0.02 * abs(current.middle[p])
         )
+
     raise NotProvedError("No zero of the test function is found near the guess.")
 
 

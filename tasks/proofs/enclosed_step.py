@@ -204,6 +204,7 @@ def step(body: Body, region: Region, accuracy: Accuracy) -> Step:
     by_tangent: list[arb] = []
     if region.tangent is not None:
         by_tangent = [row.pop() for row in rows]
+
     return Step(
         defect, arb_mat(rows), by_tangent, phases, ends, body.locks_trailing_knee
     )
@@ -288,6 +289,7 @@ def _directions(
     rows = _identity(height, unknowns + 1)
     if tangent is None:
         return rows, None, region.offsets[:unknowns]
+
     rows[-1] = tangent
     slopes = arb_mat([[row[unknowns] for row in rows]])
     return rows, slopes, [*region.offsets, region.span]
@@ -327,6 +329,7 @@ def _by_image(body: Body, end: State, V: arb_mat, m: int) -> list[list[arb]]:
             by_rates = law[i, 0] * a + law[i, 1] * b
             row.append(by_rates + turn[i, 0] * c)
         rows.append(row)
+
     return rows
 
 

@@ -126,9 +126,11 @@ def flow(
         derivative = evaluate([*change.terms, rest_derivative], of_all)
         if is_last:
             return Flow(middle, state, derivative, pieces)
+
         state = narrower(state, middle, derivative, spread)
         time = time + h
         step = min(longest, float(h) * _longer(excess, order))
+
     raise NotProvedError(f"The phase takes more than {MAX_STEPS} Taylor steps.")
 
 
@@ -175,7 +177,9 @@ def _fitting(
             shrink = 0.3
             if math.isfinite(excess):
                 shrink = max(0.3, 0.85 * excess ** (-1 / order))
+
         h = arb(float(h) * shrink)
+
     raise NotProvedError(
         "No box encloses the motion over a step: the enclosures have grown too wide."
     )
@@ -226,6 +230,7 @@ def _remainder(change: Variation, h: arb, order: int) -> tuple[State, arb_mat] |
     box = enclose(body, slope, start, h)
     if box is None:
         return None
+
     try:
         motion = Motion(body, slope, box, 1)
         at_start = Variation(motion, change.terms[0], change.by_slope)
@@ -234,6 +239,7 @@ def _remainder(change: Variation, h: arb, order: int) -> tuple[State, arb_mat] |
             motion.grow()
     except ZeroDivisionError:
         return None
+
     whole = Variation(motion, derivatives, change.by_slope, order)
     return [s[order] for s in motion.series], whole.terms[order]
 
@@ -260,6 +266,7 @@ def enclose(body: Body, slope: arb, start: State, h: arb) -> State | None:
             rates = velocity(body, slope, box)
         except ZeroDivisionError:
             return None
+
         image = [x + span * rate for x, rate in zip(start, rates, strict=True)]
         if all(b.contains(i) for b, i in zip(box, image, strict=True)):
             return image
@@ -268,6 +275,7 @@ def enclose(body: Body, slope: arb, start: State, h: arb) -> State | None:
         least = [1e-3 * _size(part) for part in (image[:n], image[n:])]
         unions = [b.union(i) for b, i in zip(box, image, strict=True)]
         box = [_inflated(ball, 0.05, least[k // n]) for k, ball in enumerate(unions)]
+
     return None
 
 
@@ -298,6 +306,7 @@ def enclose_derivative(change: Variation, h: arb) -> arb_mat:
     for _ in range(2):
         trial = Variation(change.motion, enclosure, change.by_slope, 1)
         enclosure = start + trial.terms[1] * span
+
     return enclosure
 
 

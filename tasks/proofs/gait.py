@@ -159,6 +159,7 @@ def _judged(solution: Solution, label: str | None) -> Proof:
         stable, values = is_stable(derivative), multipliers(derivative)
     except ZeroDivisionError:  # a strike grazes, and the step map has no derivative; the order of strikes says so
         pass
+
     box = named(solution.body, solution.box)
     known = Proof(
         False,
@@ -173,11 +174,13 @@ def _judged(solution: Solution, label: str | None) -> Proof:
         order: Events = events(solution.step, solution.box[m:])
     except NotProvedError as error:
         return replace(known, reason=str(error))
+
     known = replace(known, first_strike=True, label=order.label, events=order.names)
     if label in ("long", "short") and label != order.label:
         return replace(
             known, reason=f"The gait is a {order.label} step, not a {label} one."
         )
+
     return replace(known, proved=True, reason="" if stable is not None else UNDECIDED)
 
 
@@ -233,13 +236,16 @@ def solve(
                 if shift < 0.5 * size:
                     size *= 1e-4
                     continue
+
                 corrected += shift
                 if not corrected < reach:
                     raise NotProvedError(
                         "No gait is near the approximation: its first correction is "
                         f"{shift:.1e} of it."
                     )
+
             middle = [x.mid() for x in K]
+
     raise NotProvedError(reason)
 
 
@@ -306,10 +312,12 @@ def _unknowns(setting: Setting, guess: Sequence[float]) -> list[arb]:
         if n == 2:
             needed = "stance angle, two rates, kneestrike and period"
         raise NotProvedError(f"The approximation is not made of finite {needed}.")
+
     if not guess[0] or not any(guess[1:m]) or not guess[-1] > 0:
         raise NotProvedError(
             "The approximation is no gait: its stance angle, rates or period vanish."
         )
+
     return [arb(x) for x in (*guess[:m], *guess[3:])]
 
 
@@ -364,6 +372,7 @@ def named(walker: Body, box: Sequence[arb]) -> dict[str, arb]:
     state, _ = start(walker, box[:m])
     rates = state[len(state) // 2 :]
     times = ("kneestrike_time", "period") if walker.kneed else ("period",)
+
     return dict(
         zip(
             ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", *times),
@@ -382,6 +391,7 @@ def _radius(box: Mapping[str, arb]) -> float:
     period = float(box["period"].abs_lower())
     sizes = [float(box["stance_angle"].abs_lower()), *[largest] * len(rates)]
     sizes += [period] * (len(box) - len(sizes))
+
     return max(
         float(x.rad()) / s if s else math.inf
         for x, s in zip(box.values(), sizes, strict=True)

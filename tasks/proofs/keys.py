@@ -53,6 +53,7 @@ def check_written(numbers: Mapping[str, Any]) -> None:
             raise WalkerError(
                 key, text, f"must have at most {MAX_CHARACTERS} characters"
             )
+
         mantissa, _, exponent = text.strip().lower().partition("e")
         if float(text) == 0 and (
             mantissa.strip("+-0._") or len(exponent) > MAX_EXPONENT
@@ -145,17 +146,20 @@ def exact(
     for key in ("detuning", "foot_mass_ratio"):
         if key in table:
             overrides.setdefault(key, table.pop(key))
+
     if base is not None:
         keys, kneed = _named(base)
     else:
         keys, kneed = _DEFAULT, False
         table = _with_both_links(table)
+
     keys, kneed = _changed(keys, kneed, table)
 
     moved: Numbers = {}
     if "detuning" in overrides:
         amount = decimal(overrides.pop("detuning"))
         moved |= _detuned(keys, base, toward, amount)
+
     if "foot_mass_ratio" in overrides:
         moved |= _foot_masses(keys, decimal(overrides.pop("foot_mass_ratio")))
     return _changed({**keys, **moved}, kneed, overrides)
@@ -255,6 +259,7 @@ def _tuning(keys: Numbers, kneed: bool) -> Iterator[tuple[str, arb, arb]]:
     if not kneed:
         forward += k["c_s"] * sine - arb(keys["w_s"]) * cosine
         down += along
+
     if keys["m_t"] != 0:
         shank = k["m_s"] / k["m_t"]
         size = abs(k["c_t"] * cosine_T - k["w_t"] * sine_T + shank * down) / cosine_T
@@ -284,6 +289,7 @@ def _changed(
             keys |= {"m_t": fmpq(1, 2), "m_s": fmpq(0)}
         elif key != "m_s" or not math.isinf(float(table.get("m_t", 0))):
             keys[key] = read(value)
+
     return keys, kneed
 
 
@@ -333,6 +339,7 @@ def written(value: Number) -> str:
     if isinstance(value, arb):
         with ctx.workprec(KEY_BITS):
             return str(value.str(40, radius=True))
+
     with localcontext(Context(prec=MAX_DIGITS, traps=[Inexact])):
         try:
             return f"{Decimal(int(value.p)) / Decimal(int(value.q)):f}"

@@ -153,6 +153,7 @@ class Motion:
         if k:
             for turning in self.turnings:
                 turning.grow(k)
+
         for square, w in zip(self.squares, self.w, strict=True):
             square.append(product(w, w, k))
         self._geometry(k)
@@ -168,6 +169,7 @@ class Motion:
             self.a[i].append(a)
             self.q[i].append(self.w[i][k] / (k + 1))
             self.w[i].append(a / (k + 1))
+
         rates = [w[k + 1] for w in self.w]
 
         for lag, rate in zip(self.lag, rates[1:], strict=True):
@@ -208,6 +210,7 @@ class Motion:
             _append(self.hinge[j], hinge_x, hinge_y)
             x, y = self.turning[j + 1].turned(first, k)
             _append(self.whole[j], hinge_x + body.R * x, hinge_y + body.R * y)
+
         if self.n == 3:
             x, y = self.bent.turned(body.coupling, k)
             _append(self.joint, x, y)
@@ -229,9 +232,11 @@ class Motion:
             force.append(
                 product(self.hinge[j][0], squares[0], k) - weight[j + 1][0],
             )
+
         if self.n == 3:
             force[1] += product(self.joint[1], squares[2], k)
             force[2] -= product(self.joint[1], squares[1], k)
+
         if self.body.drive is not None:
             self._add_hip_torque(self.body.drive, force, k)
         return force
@@ -294,10 +299,12 @@ class Motion:
             squared = product(y, self.squares[0], k)
             by_q[0][0] += 2 * product(x, self.a[0], k) - squared
             by_w[0][0] = 2 * product(x, self.w[0], k)
+
         for j in range(1, n):
             if self.body.heavy:
                 self._by_swing(j, k, by_q[0], by_w[0])
             self._of_swing(j, k, by_q[j], by_w[j])
+
         if n == 3:
             self._of_knee(k, by_q, by_w)
         if self.body.drive is not None and k == 0:
@@ -412,6 +419,7 @@ class Variation:
         if self.by_slope is not None:
             by_slope = arb_mat([[row[size]] for row in partials])
             total += by_slope * self.by_slope
+
         for j in range(1, k + 1):  # the leading one is inverted
             total += self.masses[j] * self.accelerations[k - j]
         acceleration = motion.inverse * total * arb(-1)
@@ -443,6 +451,7 @@ class Variation:
             rates = list(zero)
             rates[n + i] = arb(1)
             rows.append(rates)
+
         rows += accelerations.tolist()
         rows += [zero] * has_slope
         sizes = [[arb(x.abs_upper()) for x in row] for row in rows]

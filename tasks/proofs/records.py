@@ -81,6 +81,7 @@ def proof_of(params: Mapping[str, Any]) -> tuple[Setting, Proof]:
         # Newton's steps overlap: together they may be a little longer than what they
         # correct.
         reach = max(reach, min(2 * bound, MAX_BOUND))
+
     return setting, prove(setting, guess(values), accuracy, params["gait"], reach)
 
 
@@ -148,10 +149,13 @@ def checked(proof: Proof, values: Mapping[str, Any], bound: float) -> Proof:
     """
     if not proof.proved:
         return proof
+
     apart = distance(proof, values)
     if apart <= arb(bound):
         return proof
+
     away = f"{float(apart.mid()):.2g} away from the values stored"
+
     return replace(
         proof,
         proved=False,
@@ -218,6 +222,7 @@ def quoted(x: arb) -> tuple[str, str]:
         digits = 60 if spread == 0 else max(3, 4 - math.floor(math.log10(spread)))
         middle = x.mid().str(digits, radius=False, more=True)
         apart = float(abs(x - arb(middle)).upper())
+
     # Printing takes off half a hundredth at most.
     return middle, f"{1.01 * apart:.2e}" if apart else "0"
 

@@ -60,6 +60,7 @@ def events(step: Step, times: Sequence[arb]) -> Events:
             raise NotProvedError(
                 f"Which comes first, {one} or {other}, is not decided."
             )
+
     return Events([name for name, _, _ in order], _label(step))
 
 
@@ -73,7 +74,9 @@ def _knee(phases: Sequence, time: arb, order: int) -> list[tuple[str, arb, arb]]
         raise NotProvedError(
             f"The kneestrike is not the first return of the flexion, which has {len(crossings)} zeros before it."
         )
+
     _ends(crossings, time, "kneestrike")
+
     return [
         *(("knee_flexes", z.low, z.high) for z in crossings[:-1]),
         ("kneestrike", time, time),
@@ -85,9 +88,11 @@ def _heel(phases: Sequence, time: arb) -> list[tuple[str, arb, arb]]:
     _, crossings = zeros(phases, HEEL, "heelstrike", 1)
     if not crossings or crossings[-1].rises or not crossings[-1].stance < 0:
         raise NotProvedError("The step does not end with a heelstrike.")
+
     for zero in crossings[:-1]:
         if not zero.rises and not zero.stance > 0:
             raise NotProvedError("A heelstrike comes earlier than the one solved for.")
+
     _ends(crossings, time, "heelstrike")
     return [("heelstrike", time, time)]
 
@@ -121,9 +126,11 @@ def _label(step: Step) -> str:
         raise NotProvedError(
             "The stance leg's rate at heelstrike is not told from zero."
         )
+
     ratio = (swing - stance) / abs(stance)
     if ratio < arb("0.5"):
         return "long"
     if ratio >= arb("0.5"):
         return "short"
+
     raise NotProvedError("The gait lies between a long and a short step.")

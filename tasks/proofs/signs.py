@@ -87,6 +87,7 @@ def zeros(
             raise NotProvedError(
                 f"Grazing: the {name} guard changes sign between phases."
             )
+
     return stretches[0].kind, crossings
 
 
@@ -99,6 +100,7 @@ def _joined(stretches: Iterable[Stretch]) -> list[Stretch]:
             stance = last.stance.union(stretch.stance)
             stretch = Stretch(stretch.kind, last.low, stretch.high, stance)
         joined.append(stretch)
+
     return joined
 
 
@@ -117,6 +119,7 @@ def _is_crossed(
         raise NotProvedError(
             f"Grazing: the {name} guard and its rate are not told from zero at the same time."
         )
+
     assert before is not None
     from_sign = "-" if current.rises else "+"
     if after is not None:
@@ -126,10 +129,12 @@ def _is_crossed(
                 f"Grazing: the {name} guard changes sign against its rate."
             )
         return changes
+
     if not order and before.kind == from_sign:
         raise NotProvedError(
             f"Whether the {name} guard vanishes at the end of the step is not decided."
         )
+
     return bool(order and before.kind == from_sign)
 
 
@@ -160,15 +165,18 @@ def _classified(
             kind = _sign(evaluate(quotient, span))
         else:
             kind = _kind(value, rate, low, high, span)
+
         if kind in SIGNS or (kind and depth >= ZERO_DEPTH):
             yield Stretch(
                 kind, clock + low, clock + high, evaluate(piece.series[0], span)
             )
             continue
+
         if depth == MAX_DEPTH:
             raise NotProvedError(
                 f"Grazing: the {name} guard and its rate cannot be told from zero together."
             )
+
         middle = ((low + high) / 2).mid()
         waiting += [(middle, high, depth + 1), (low, middle, depth + 1)]
 

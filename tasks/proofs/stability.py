@@ -59,10 +59,12 @@ def characteristic(matrix: arb_mat) -> list[arb]:
     a = matrix.tolist()
     if len(a) == 2:
         return [arb(1), -matrix.trace(), matrix.det()]
+
     minors = arb(0)
     for i, j in ((0, 1), (0, 2), (1, 2)):
         diagonal = a[i][i] * a[j][j]
         minors += diagonal - a[i][j] * a[j][i]
+
     return [arb(1), -matrix.trace(), minors, -matrix.det()]
 
 
@@ -120,10 +122,12 @@ def is_stable(matrix: arb_mat) -> bool | None:
     if len(p) == 4:
         left = abs(p[3] * p[1] - p[2])
         margins.append(1 - p[3] ** 2 - left)
+
     if all(x > 0 for x in margins):
         return True
     if any(x < 0 for x in margins[:3]) or _last_fails(margins):
         return False
+
     return None
 
 

@@ -170,8 +170,10 @@ def point(family: Family, guess: Sequence[arb], size: float) -> Tube:
             return piece
         if not shift < 1e-3:
             break
+
         middle = [(c + k).mid() for c, k in zip(middle, piece.image, strict=True)]
         width = max(size, min(width, shift**1.5)) if inside else width
+
     raise NotProvedError("No gait is near the guess.")
 
 
@@ -210,12 +212,14 @@ def tube(family: Family, start: Tube, half: arb) -> Tube:
         )
         if piece.is_proved():
             return piece
+
         radii = [
             max(f, 1.5 * float(abs(k).upper()))
             for f, k in zip(floor, piece.image, strict=True)
         ]
         if not all(math.isfinite(r) for r in radii):
             break
+
     raise NotProvedError("Krawczyk's operator does not map the tube into itself.")
 
 

@@ -34,6 +34,7 @@ def guard(
         return x[1] - x[2], x[4] - x[5]
     if ground is None:
         return x[0] + x[1], x[2] + x[3]
+
     scale, height = ground
     half = 0.5 * scale
     mean = half * (x[0] + x[1])
@@ -98,6 +99,7 @@ def crossing(
         if not free:
             falls &= before[lanes] + at * (after[lanes] - before[lanes]) < 0
         fraction[lanes] = np.where(falls, at, -1.0)
+
     return fraction
 
 

@@ -231,6 +231,7 @@ class _ExtendedStepMap:
             moved[i] = moved[i] + difference
             there, _ = self(moved[: len(y)], moved[len(y) :], parameters)
             columns.append(_doubles((there - residual) / difference))
+
         try:
             return -np.linalg.inv(np.array(columns).T)
         except np.linalg.LinAlgError:
@@ -334,9 +335,11 @@ class _WideNewton:
             if self.size < _ROUNDING[self.tier]:
                 self.size = min(self.size, size)
                 return Ended.CONVERGED
+
             if self.derivatives == _MAX_DERIVATIVES[self.tier]:
                 self.size = np.inf
                 return Ended.STALLED
+
             # Beside falls, where the step amplifies its start most, the derivative in
             # doubles does not serve.
             self.derivatives += 1
@@ -382,6 +385,7 @@ def residual(problem: Problem, Z: np.ndarray) -> np.ndarray:
         times = exact.array(Z[problem.m : -1, lane])
         values, _ = exact(exact.array(y[:, lane]), times, parameters)
         columns.append(_doubles(values) / y[0, lane])
+
     return np.array(columns).T
 
 
@@ -417,5 +421,6 @@ def refine(
         error = 2 * gait.error * max(1.0, amplification) + rounding(tier)
         if error <= accuracy if accuracy else np.isfinite(gait.error):
             break
+
     y, times, impact, state = (np.vectorize(float)(values) for values in gait[:4])
     return Wide(y, times, impact, state, error)

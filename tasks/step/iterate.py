@@ -67,5 +67,6 @@ def iterate(rule: Rule, n: int, max_steps: int) -> np.ndarray:
             break
         ended[lanes] = rule.step(lanes, taken)
         lanes = np.flatnonzero(ended == Ended.RUNNING)
+
     ended[lanes] = Ended.OUT_OF_STEPS
     return ended

@@ -29,6 +29,7 @@ def lanes_of(result: Any, lanes: slice | np.ndarray) -> Any:
             name: lanes_of(values, lanes) for name, values in _fields(result).items()
         }
         return dataclasses.replace(result, **changed)
+
     return result.some(lanes)
 
 

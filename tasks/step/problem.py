@@ -100,6 +100,7 @@ class Problem:
         if self.drive.key == SLOPE:
             yield np.arange(len(drive)), self, drive
             return
+
         for value in np.unique(drive).tolist():
             numbers = np.flatnonzero(drive == value)
             over, counted = over_slopes(float(self.slopes(drive[numbers[:1]])[0]))
@@ -277,6 +278,7 @@ class Problem:
         """
         if not self.structure.kneed:
             return state[: self.m].copy()
+
         scale, size = scale_of(state[0]), self.map.start_size
         at_rest = np.vstack([state[:1] / scale, np.zeros_like(state[1:])])
         start = self.map.start(at_rest, self.parameters(drive, scale))

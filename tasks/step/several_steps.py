@@ -302,6 +302,7 @@ def sections(w: ndarray, m: int, steps: int) -> tuple[ndarray, ndarray]:
     phases = len(w) - m
     y = np.vstack([np.ones((1, n)), w[1:m]])
     durations = np.diff(w[m:], axis=0, prepend=0)
+
     return (
         y.reshape(steps, m // steps, n),
         durations.reshape(steps, phases // steps, n),

@@ -128,6 +128,7 @@ class Scanner:
             for rates in zip(*derivatives, strict=True):
                 mean.append(dot([weights[i] for i in used], [rates[i] for i in used]))
             stage = [start + h * rate for start, rate in zip(x, mean, strict=True)]
+
         return CompiledFunction(stage, [*x, h, *p.variables])
 
     def _compile(
@@ -218,6 +219,7 @@ class Scanner:
             strike[lanes] = begin
             if free and len(lanes):
                 x = self.lock(x, parameters[:, lanes])
+
         return lanes, x, times, outcome
 
     def integrate_to_event(
@@ -273,6 +275,7 @@ class Scanner:
             if len(ended):
                 lanes, x = np.delete(lanes, ended), np.delete(x, ended, axis=1)
             taken += len(X) - 1
+
         return way.state, way.time, outcome
 
     def _advance_block(
@@ -296,6 +299,7 @@ class Scanner:
             if k:
                 inputs[:size] = X[k]
             self._step[free](inputs, outputs=X[k + 1])
+
         scale = inputs[size + 2]
         return X[: 2 + _steps_before_wild(X[1:-1], h, scale), :, :n]
 
@@ -348,6 +352,7 @@ class _Way:
         if len(struck):
             before, share = X[place, :, struck].T, fraction[place, struck]
             self._strike(lanes[struck], before, share, (taken + place) * self.h)
+
         return ended, cause
 
     def _strike(
@@ -375,6 +380,7 @@ def _steps_before_wild(X: np.ndarray, h: float, scale: PerLane) -> int:
     top = np.abs(X).max(axis=(0, 2), initial=0.0) * scale.max()
     if max(top[:half].max(), h * top[half:].max()) < _WILD:
         return len(X)
+
     angles = np.abs(X[:, :half]).max(axis=1)
     changes = h * np.abs(X[:, half:]).max(axis=1)
     is_tame = (np.maximum(angles, changes) * scale < _WILD).all(axis=1)
@@ -507,6 +513,7 @@ def fly_on(
     if len(lanes):
         landed = scan.strike(state[:, struck], parameters[:, lanes])
         section[:, lanes] = landed * scale[lanes]
+
     return section, outcome
 
 
@@ -526,6 +533,7 @@ def _with_locked_knees(
         x[:, bent], _, outcome[bent] = scan.integrate_to_event(
             True, x[:, bent], np.zeros(len(bent)), parameters[:, bent]
         )
+
     lanes = np.flatnonzero(outcome == STRUCK)
     if len(lanes):
         two[:, lanes] = scan.lock(x[:, lanes], parameters[:, lanes])
@@ -584,6 +592,7 @@ def _scan(
     if height is not None:
         x = walk(height[lanes])
         x = scan.land(x, parameters[:, lanes]) if len(lanes) else x
+
     x = walk(None)
     if len(lanes):
         image[:, lanes] = scan.strike(x, parameters[:, lanes]) * scale[lanes]

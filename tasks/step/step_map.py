@@ -284,6 +284,7 @@ class StrideMap:
         if self.by_push:
             for row, value in zip(section_by, section, strict=True):
                 row[-1] = row[-1] + hy.diff(value, p.push)
+
         outputs = _to_first_order(y, x, D, section, section_by, knee)
 
         return self._function(outputs, variables)
@@ -307,7 +308,9 @@ class StrideMap:
                     dot(column, row[:3], start)
                     for column, start in zip(columns, starts, strict=True)
                 ]
+
             directions.append([*row[:-1], rate, row[-1]])
+
         return directions
 
     def _apply(self, function: CompiledFunction, inputs: np.ndarray) -> np.ndarray:
@@ -531,6 +534,7 @@ class StrideMap:
         if slope:
             by_drive = values[size * (1 + m) :] if self.by_push else np.zeros((size, n))
             D = np.concatenate([D, by_drive[:, None]], axis=1)
+
         return values[:size], D
 
     def _kneestrike(self, end: np.ndarray, parameters: Parameters) -> _Kneestrike:
@@ -554,6 +558,7 @@ class StrideMap:
         if self.kneed:
             times_by[:, m] = 1.0
             times_by[1, [*range(m + 1), m + 2]] -= parts[: m + 2]
+
         return times_by
 
     def _named(self, out: np.ndarray) -> dict[str, np.ndarray]:
@@ -734,6 +739,7 @@ def _shifts(guards: list[Sym], guards_by: list[list[Sym]], m: int) -> list[list[
         for i, earlier in enumerate(shifts):
             values = [v + row[m + i] * e for v, e in zip(values, earlier, strict=True)]
         shifts.append([-v / row[m + j] for v in values])
+
     return shifts
 
 
@@ -752,6 +758,7 @@ def _at_strikes(
             strict=True,
         )
         at_strikes.append([dot(row[m:-1], shift, start) for start, shift in at_end])
+
     return at_strikes
 
 

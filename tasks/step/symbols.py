@@ -93,6 +93,7 @@ def inverse(J: list[list[Sym]]) -> list[list[Sym]]:
             cofactor = (-1.0) ** (i + j) * minor(without[j], without[i])
             row.append(cofactor / determinant)
         rows.append(row)
+
     return rows
 
 

@@ -198,6 +198,7 @@ def strike_distance(motion: Motion, times: Times) -> PerLane:
         begin = np.full(passes.shape, -np.inf)
         begin[passes] = _value(_cubics(*guard, passes), upright)
         guards.append(_Guard(*guard, behind, begin))
+
     least = _least_distance(guards)
 
     if len(motion) == 2:
@@ -207,6 +208,7 @@ def strike_distance(motion: Motion, times: Times) -> PerLane:
         never = np.zeros(g.shape, bool)
         knee = _Guard(g, rate, never, np.full(g[1:].shape, -np.inf), always=True)
         least = np.fmin(least, _least_distance([knee]))
+
     return least
 
 
@@ -246,9 +248,11 @@ def _least_distance(phases: list[_Guard]) -> PerLane:
             turns = (rate_before < 0) & (rate[0] >= 0) & counts[0]
             at_turn = np.where(turns, np.maximum(g[0], -highest), np.inf)
             least = np.fmin(least, at_turn)
+
         distance, highest = _distances(guard, highest)
         least = np.fmin(least, np.fmin.reduce(distance, axis=0))
         rate_before = rate[-1]
+
     return least
 
 
@@ -414,6 +418,7 @@ def hyperextends_at_release(three: np.ndarray, interval: PerLane) -> Marks:
             for k, value, by_rate in zip((1, 2), _VALUES, _RATES, strict=True)
         )
         first = np.where(at_rest, acceleration, first)
+
     return np.asarray(first < 0)
 
 
@@ -467,6 +472,7 @@ def verify(
         step &= is_free & (times[0] > _MIN_KNEESTRIKE)
         doubt |= unclear
         hyperextends = hyperextends_at_release(motion[0], intervals[0])
+
     doubt &= np.isfinite(closing).all(axis=0)
     return StepCheck(step, leg_passes, doubt, hyperextends)
 

@@ -121,6 +121,7 @@ class ChartedDerivatives:
         for panel, x in zip(asked, points, strict=True):
             q.append(panel.span.log_slope(x))
             of_panels.append(self.pieces[panel.number].guesses(q[-1]))
+
         at = settle(self.problem, join_lanes(of_panels))
         values, size = self._columns(np.vstack([at.w, np.concatenate(q)]))
         is_gait = at.converged & at.step
@@ -199,6 +200,7 @@ class ChartedDerivatives:
         for name, by_keys in named.items():
             own = is_served[name]
             found[name + BY_KEY][np.ix_(gaits.lanes, keys[own])] = by_keys[own].T
+
         self._put_others(found, gaits, keys, is_served)
 
     def _put_others(
@@ -214,6 +216,7 @@ class ChartedDerivatives:
         others = [name for name, own in is_served.items() if not own.all()]
         if not others:
             return
+
         lacks = ~np.all([is_served[name] for name in others], axis=0)
         alone = gaits.differentiated(self.problem, others, keys[lacks])
         for name, by_keys in alone.items():

@@ -219,6 +219,7 @@ def starts(problem: Problem, drive: float, count: int) -> ndarray:
     rate = fastest + (slowest - fastest) * unit[1]
     if problem.m == 2:
         return np.vstack([angle, rate])
+
     largest = _SWING_RATIO * max(1.0, np.pi / SmallAngles(problem.walker).swing)
     return np.vstack([angle, rate, -rate * largest * (2 * unit[2] - 1)])
 
@@ -255,6 +256,7 @@ def _deflate(
         before = known.shape[1]
         if not before or not len(q):
             break
+
         tried += len(q)
         w, near = deflated(problem, guesses, known, drive)
         w, converged = newton(problem, w[:, near], q[near])
@@ -263,6 +265,7 @@ def _deflate(
         known, hits = _merge(both, np.append(hits, none_yet), SAME_GAIT)
         if known.shape[1] == before:
             break
+
     return known, hits, tried, known.shape[1] - first
 
 

@@ -140,10 +140,12 @@ def _keys(wanted: Sequence[str] | None, line: Mapping[str, Any]) -> list[str]:
         of_links = [*ONE_LINK, *_COMMON]
     if wanted is None:
         return [*of_links, *walker_of_line(line).driving_keys]
+
     known = (*KEYS, *ONE_LINK, *_DERIVED)
     for key in wanted:
         if key not in known:
             raise WalkerError("keys", key, f"must be of {', '.join(known)}")
+
     return list(wanted)
 
 
@@ -171,6 +173,7 @@ def _grounds(
         problem, drive = driven(walker, level)
         if not drive:
             continue
+
         there = np.full(len(at), drive)
         Z, (row, label) = _gaits(problem, branches_of(problem), there)
         over, counted = over_slopes(level)
@@ -193,6 +196,7 @@ def _gaits(
     for number, (Z, row, of_rates) in enumerate(pieces):
         angle[number, row] = Z[0]
         ratio[number, row] = of_rates
+
     label = places(angle, ratio)
     labels = [label[number, row] for number, (_, row, _) in enumerate(pieces)]
 

@@ -103,6 +103,7 @@ def largest_steps(
             left = left[~failed]
             if not len(left):
                 break
+
     return np.minimum((largest * STEP_RESOLUTION).round(9), limit)
 
 

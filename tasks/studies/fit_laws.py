@@ -69,6 +69,7 @@ def scaling(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 for key, points in _curves(data, g, good).items():
                     curves[key] = _sort(x[points], y[points])
                 rows += _laws(head, curves)
+
     return table("fits/scaling", rows)
 
 
@@ -110,6 +111,7 @@ def _laws(
         # A law that is flat to the larger tolerance only, but holds from the smallest
         # abscissae on.
         small, large = large, None
+
     regimes = {"small": small, "large": large}
     return [_row(head, regime, run) for regime, run in regimes.items()]
 
@@ -188,6 +190,7 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         ratio = line["set"].get("foot_mass_ratio", walker.m_s / walker.total_mass)
         if walker.point_foot and ratio > 0:
             rows += _transition_of(ratio, data)
+
     rows.sort(key=lambda row: -row["foot_mass_ratio"])
     _add_exponents(rows, "local_exponent", "slope_transition")
     _add_exponents(rows, "local_exponent_fitted", "slope_transition_fitted")
@@ -197,6 +200,7 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     if 0.1 in by_ratio and 0.05 in by_ratio:
         compared = _compared(by_ratio[0.1], by_ratio[0.05])
         found |= table("fits/transition_ratio", [compared])
+
     return found
 
 
@@ -209,6 +213,7 @@ def _transition_of(ratio: float, data: Arrays) -> list[dict[str, Any]]:
     curves = _curves(data, short, np.isfinite(angles))
     if not curves:
         return []
+
     (branch, piece), points = min(
         curves.items(), key=lambda curve: data["slope"][curve[1]].min()
     )
@@ -234,6 +239,7 @@ def _transition_of(ratio: float, data: Arrays) -> list[dict[str, Any]]:
     for name, value in fitted.items():
         if name != "slope":
             row[f"fitted_{name}"] = value
+
     row["asymptotic"] = float(laws.asymptotic(np.array(ratio)))
     return [row]
 

@@ -111,6 +111,7 @@ def branch(
     if params.get("sensitivities"):
         rows = [*_derivatives(problem, special)]
         tables |= table("special_sensitivities", rows, DERIVATIVES)
+
     return tables if parts else tables | _none(problem, window, unit)
 
 
@@ -148,6 +149,7 @@ def _none(problem: Problem, window: PerLane, unit: float) -> Arrays:
     if not least <= window[0] / unit < window[1] / unit <= largest:
         ends = f"from {unit * least:.6g} to {unit * largest:.6g}"
         sentence += f" Branches are followed over `{key}` {ends}."
+
     return nothing(sentence)
 
 
@@ -166,6 +168,7 @@ def _columns(problem: Problem, Z: Coordinates, unit: float) -> tuple[Any, ...]:
     radius = magnitudes.max(axis=1)
     times = w[problem.m :] * walker.time_unit
     kneestrike = times[0] if walker.knees else np.nan
+
     return (
         unit * drive,
         np.exp(w[0]),
@@ -217,6 +220,7 @@ def _onsets_within(
         for lane, Z in enumerate(inside.T):
             error = slope_error(problem, sampled.condition, Z) + 8 * EPS
             records.append(record(name, points, lane, error))
+
     return records
 
 
@@ -229,6 +233,7 @@ def _special_row(
     time_unit = problem.walker.time_unit
     kind, error = str(point["kind"]), float(point["error_bound"])
     form = normal_form(problem, kind, np.array(point["Z"]), error)
+
     return (
         kind,
         unit * point["slope"],
@@ -302,6 +307,7 @@ def contact_lost(
         length = branch.q[segment + 1] - branch.q[segment]
         error = abs(float(share * length)) + 64 * EPS
         records.append(record("end_contact_lost", point.at, 0, error))
+
     return records
 
 
@@ -336,6 +342,7 @@ def _least_force(
             slope[lanes],
         )
         force[lanes] = measured["least_normal_force"]
+
     return force.reshape(stride.steps, -1).min(axis=0)
 
 
@@ -346,6 +353,7 @@ def _walkers(problem: Problem, drive: PerLane) -> Iterator[tuple[Walker, slice]]
     if problem.drive.key != HIP_TORQUE:
         yield problem.walker, slice(None)
         return
+
     for k in range(0, len(drive), _AT_ONCE):
         lanes = slice(k, k + _AT_ONCE)
         own = []
@@ -380,6 +388,7 @@ def _leaves_window(
         for lane in np.flatnonzero(point.ok).tolist():
             edge = {"slope": float(edges[index[lane]])}
             records.append(record("window", point.at, lane, 8 * EPS) | edge)
+
     return records
 
 
@@ -395,6 +404,7 @@ def _dense(
     while 0 < len(place) < least and parts < _MAX_PARTS:
         parts *= 2
         place, Z = within(branch, *window, parts)
+
     if branch.steps == 1:
         return Z
 
@@ -407,4 +417,5 @@ def _dense(
         border[:, np.abs(border[-1]) > _STEEP] = along_slope
         point = correct(problem, Z[:, between], border)
         Z[:, between[point.ok]] = point.Z[:, point.ok]
+
     return Z

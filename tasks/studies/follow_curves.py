@@ -132,12 +132,14 @@ def _from_beginnings(
             branches = atlases.from_arrays(atlas)
         else:
             branches = atlases.survey(problem)
+
         seeds = _seeds(problem, branches, missing, window)
 
         begun = _follow_all(seeds, conditions, begin, window, tables)
         missing = {kind: missing[kind] for kind in missing if kind not in begun}
         if not missing:
             break
+
     return tables
 
 
@@ -224,6 +226,7 @@ def _follow_all(
         tables.curves.extend(_curve_rows(number, curve, window))
         tables.turnings.extend(_turning_rows(number, curve, window))
         tables.meetings.extend(_meeting_rows(number, curve, window))
+
     return {kind for kind, _ in seen}
 
 
@@ -335,6 +338,7 @@ def _seeds(
             kind = str(point["kind"])
             if kind in conditions:
                 seeds.append((kind, np.array(point["Z"])))
+
         levels = {
             name: condition
             for name, condition in conditions.items()
@@ -343,4 +347,5 @@ def _seeds(
         samples = Sampled.of_each(Curve.of_branch(problem, branch), [*levels.values()])
         for name, sampled in zip(levels, samples, strict=True):
             seeds += [(name, Z) for Z in sampled.passes_target().X.T]
+
     return [(kind, Z) for kind, Z in seeds if window.holds(Z[-1])]

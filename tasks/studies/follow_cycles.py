@@ -61,6 +61,7 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Bra
         followed = _follow_all(problem.of_steps(steps), begins, found)
         if steps < n:
             begins = _flips_of(problem, followed)
+
     return ranked(followed)
 
 
@@ -87,6 +88,7 @@ def _follow_all(
         followed += _along(problem, starts, begins, followed)
         starts = []
         found = [gait for gait in found[1:] if not is_known(followed, gait.Z[:, 0])]
+
     return followed
 
 
@@ -111,6 +113,7 @@ def _along(
         # Two flips may be the ends of one branch.
         if not is_known([*known, *followed], gait):
             followed += of_gait
+
     return followed
 
 
@@ -125,6 +128,7 @@ def _beyond_flips(problem: Problem, branches: list[Branch]) -> ndarray:
         q = branch.q[is_beyond & (branch.leg_passes == 1)]
         if len(q):
             medians.append(np.exp(np.median(q)))
+
     return np.array(medians)
 
 
@@ -146,5 +150,6 @@ def _search(
 
     if not len(slopes):
         return []
+
     found = search_cycles(problem, branches, slopes, n, _STARTS)
     return [gait for gait in found if abs(gait.at.multipliers[0, 0]) <= MAX_MULTIPLIER]

@@ -185,6 +185,7 @@ def _curves(
             continue
         if not _is_genuine(condition, first.at.gait.jacobians[0]):
             continue
+
         curve = followed(equations, kind, first, plane.window, others)
         seen.append(curve.points)
         yield curve

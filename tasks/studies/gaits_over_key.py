@@ -96,6 +96,7 @@ def gaits_at(walker: Walker, slope: float) -> Iterator[np.ndarray]:
     else:
         problem, drive = driven(walker, slope)
         branches = branches_of(problem) if drive else []
+
     for branch in branches:
         for _, Z, _ in branch.guesses(np.log([drive])):
             yield Z[:-1, 0]
@@ -114,14 +115,17 @@ def _is_on(equations: Equations, points: np.ndarray, X: np.ndarray) -> bool:
     for k in (nearest - 1, nearest):
         if not 0 <= k < len(points) - 1:
             continue
+
         chord = points[k + 1] - points[k]
         off = X - points[k]
         share = float(off @ chord / (chord @ chord))
         if not -_AT_NODE <= share <= 1 + _AT_NODE:
             continue
+
         guess = points[k] + share * chord
         beside = correct_on_curve(equations, guess[:, None], chord[:, None])
         is_corrected = bool(beside.ok[0])
         if is_corrected and same(beside.Z[:, 0], X, SAME_POINT):
             return True
+
     return False

@@ -122,6 +122,7 @@ class _Places:
             # Whether a gait is stable does not depend on the accuracy.
             margin = np.abs(columns["spectral_radius"] - 1)
             uncertain |= margin <= columns["multiplier_error_bound"]
+
         lost[self.index[uncertain]] = True
         solved = smooth.gaits(self.drive, columns, chart.error, self.numbers)
         return Part(self.index, columns["stance_angle"], ratios, solved)
@@ -142,10 +143,12 @@ def _tied(
             row[part.index] = np.where(
                 (part.ratio < LONG_BELOW) == label, part.angle, np.nan
             )
+
         crowded = np.flatnonzero(np.isfinite(angles).sum(axis=0) > 1)
         if len(crowded):
             gaps = np.diff(np.sort(angles[:, crowded], axis=0), axis=0)
             tied[crowded] |= (gaps <= closest).any(axis=0)
+
     return tied
 
 
@@ -188,6 +191,7 @@ def panels_over(
         span = Span.between(edges[k : k + 2], 0, at_folds, depths)
         for part in span.toward_vanishing(*_VANISHING):
             panels.append(Asked(piece, part, (nodes,), (nodes,)))
+
     return panels
 
 
@@ -249,6 +253,7 @@ def fit_panels(
         covered = q[piece.covered(q)]
         over = panels_over(k, *piece.q, piece.folds, covered, nodes, piece.vanishing)
         panels += [panel for panel in over if is_needed(panel.span)]
+
     sheets: list[list[Sheet]] = [[] for _ in pieces]
     for k, sheet in fit_sheets(panels, solve, good, is_needed, by_value):
         sheets[k].append(sheet)
@@ -281,6 +286,7 @@ def _away_from_ends(piece: Piece, q: np.ndarray) -> np.ndarray:
             away &= distance > 0
         else:
             away &= distance > _NEAR_END + _END_SAFETY * piece.end_errors[end]
+
     return away
 
 
@@ -324,6 +330,7 @@ class Interpolation:
         for panel, x in zip(asked, points, strict=True):
             q.append(panel.span.log_slope(x))
             of_panels.append(self.pieces[panel.number].guesses(q[-1]))
+
         guesses = join_lanes(of_panels)
         if np.isnan(guesses.rounding_std).any():
             guesses = self._measured(guesses, np.concatenate(q), len(points[0]))
@@ -347,6 +354,7 @@ class Interpolation:
         lipschitz, gradient, std = measured(
             self.problem, guesses.w[:, lanes], q[lanes], _MEASURED
         )
+
         return replace(
             guesses,
             lipschitz=np.repeat(_LIPSCHITZ_SAFETY * lipschitz, samples),
@@ -412,6 +420,7 @@ class Interpolation:
             if sheet.chart is None:
                 lost[some] = True
                 continue
+
             points = sheet.span.points(q[some])
             known = sheet.is_measured(points)
             lost[some[~known]] = True
@@ -475,6 +484,7 @@ def _over_patch(
         fitted = fit_sheets([asked], solve, good, is_needed=lambda half: False)
     except Refused:
         return None
+
     return fitted[0][1] if fitted else None
 
 
@@ -551,6 +561,7 @@ def _of_patch(
     if sheet.chart is None:
         lost[index] = True
         return None
+
     if sheet.passes != 1 or not len(index):
         return None
 

@@ -97,6 +97,7 @@ def _orbits_of(points: PointsOnBranches, options: Mapping[str, Any]) -> Arrays:
     if not len(known):
         gait = f"{options['gait']} gait"
         tables |= nothing(over(gait, points.asked, points.key))
+
     tables |= _survival(starts.slope, walk.taken, ~walks)
     tables |= _exponents(means[:, :, walks], starts.slope[walks], strides)
     return points.named(tables)
@@ -151,6 +152,7 @@ def _orbits(
     rate = 1 / time_unit
     kept = rows * np.array([1, rate, rate, rate, time_unit, 1])[:, None]
     columns = {f"orbits/{name}": kept[:, i].T.ravel() for i, name in enumerate(_SHOWN)}
+
     return {
         "orbits/slope": np.repeat(starts.slope, shown),
         "orbits/start": np.repeat(starts.number, shown),
@@ -198,6 +200,7 @@ def _survival(lane_slope: np.ndarray, steps: np.ndarray, fell: np.ndarray) -> Ar
     falls = np.bincount(which, fell, len(slopes))
     with np.errstate(divide="ignore"):
         lifetime = strides / falls
+
     return {
         "survival/slope": slopes,
         "survival/starts": np.bincount(which, minlength=len(slopes)),
@@ -226,6 +229,7 @@ def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Array
         falling = np.argsort(-value, kind="stable").tolist()
         for i, k in enumerate(falling):
             rows.append((slope, i, value[k], error[k], count, reason))
+
     return table("lyapunov", rows, _EXPONENTS)
 
 
@@ -271,6 +275,7 @@ def _keep(walk: Walk, strides: int, shown: int) -> tuple[np.ndarray, np.ndarray]
         growth.step(walk.jacobian, walk.lanes, block)
         if k > strides - shown and len(walk.lanes):
             rows[k - 1 - strides + shown][:, walk.lanes] = _row(walk)
+
     return rows, growth.means()
 
 

@@ -263,6 +263,7 @@ def _lost_rows(
     accumulation = scaling.accumulation(family.flips)[0]
     if not steps or not np.isfinite(accumulation):
         return []
+
     reach = accumulation + _MAX_EXTENT * (accumulation - family.flips[0])
     end = float(np.clip(reach, slope[0], slope[-1]))
     orbits = _spread_around(family.events[-1])
@@ -326,10 +327,12 @@ def _first_gaits(
     branches = atlases.from_arrays(atlas)
     if n == 1:
         return _first_long_gait(problem, near, branches, slope)
+
     for k in range(len(slope)):
         gaits = search_cycles(problem, branches, slope[[k]], n, starts)
         if gaits:
             return gaits
+
     return []
 
 
@@ -359,6 +362,7 @@ def _first_long_gait(
         )
         if gaits:
             return gaits
+
     return []
 
 
@@ -380,6 +384,7 @@ def _solved(problem: Problem, w: Unknowns, slope: Slopes) -> list[Point]:
         )
         kept = _distinct(problem, w, q, converged)
         w, q = w[:, kept], q[kept]
+
     if not len(q):
         return []
 
@@ -404,6 +409,7 @@ def _distinct(
         beside = [k for k in kept if q[k] == q[i]]
         if all(distance(w[:, i], w[:, k], m, n) > SAME_GAIT for k in beside):
             kept.append(i)
+
     return kept
 
 
@@ -433,6 +439,7 @@ def search_cycles(
     guesses, slope = _nearly_returning(problem, branches, slopes, n, starts)
     if not len(slope):
         return []
+
     found = _solved(problem.of_steps(n), guesses, slope)
 
     def place(gait: Point) -> tuple[int, float]:
@@ -456,14 +463,17 @@ def _nearly_returning(
     for _ in walk.steps(n + 1):
         after.append(walk.y.copy())
         times.append(walk.times.copy())
+
     if not len(walk.lanes):
         return np.empty((0, 0)), np.empty(0)
+
     off = np.abs(after[n] - after[0]).max(axis=0)
 
     nearest = []
     for slope in np.unique(walk.slope[walk.lanes]):
         lanes = walk.lanes[walk.slope[walk.lanes] == slope]
         nearest.append(lanes[np.argsort(off[lanes], kind="stable")[:_POLISHED]])
+
     lanes = np.concatenate(nearest)
     states = np.stack(after[:n])[..., lanes]
     strikes = np.stack(times[1:])[..., lanes]
@@ -538,6 +548,7 @@ def _follow_flips(
         if events:
             # The next interval by Feigenbaum's law from the last.
             interval = (flip.q - events[-1].q) / scaling.DELTA
+
         events.append(flip)
         problem = problem.of_steps(2 * problem.steps)
         begun = None
@@ -546,6 +557,7 @@ def _follow_flips(
 
     if problem.steps <= longest:
         return f"No gait of period {problem.steps} was found beside the flip."
+
     return f"The longest period of the search, {longest}, is reached."
 
 
@@ -566,20 +578,24 @@ def _first_event(
         if number == _MAX_POINTS:
             why = f"none on {_MAX_POINTS} points of the branch, up to a"
             return None, _ends_at(problem, why, slope)
+
         slope = float(np.exp(after.at.q[0]))
 
         event, is_between = _event_between(problem, before, after, kind)
         if is_between and event is None:
             why = "the next one could not be located, near a"
             return None, _ends_at(problem, why, slope)
+
         if event is not None and not low <= event.q <= high:
             why = "the next one lies outside the window, at a"
             return None, _ends_at(problem, why, event.slope)
+
         if event is not None:
             return event, ""
         if not low - _MARGIN <= after.at.q[0] <= high + _MARGIN:
             edge = float(np.exp(np.clip(after.at.q[0], low, high)))
             return None, _ends_at(problem, "the branch leaves the window at a", edge)
+
     return None, _ends_at(problem, "the branch could not be continued beyond a", slope)
 
 
@@ -611,6 +627,7 @@ def _event_between(
     located = passings(problem, segment, condition)
     if not located:
         return None, True
+
     gait = located[0][1].at
     error = slope_error(problem, condition, gait.Z[:, 0])
     return _Event(kind, gait, error, (before, after)), True

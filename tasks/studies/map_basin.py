@@ -275,4 +275,5 @@ def _areas(outcome: np.ndarray, cell: float) -> list[tuple[str, float, float]]:
         area = inside.sum() * cell
         error = cell * np.sqrt(boundary.sum() / 12)
         areas.append((str(name), float(area), float(error)))
+
     return areas

@@ -110,6 +110,7 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         gaits = _gaits_over_plane(designs, plane, request)
     else:
         gaits = _survey(designs, np.arange(designs.n), rows, request)
+
     if request:
         _disturb(designs.walkers, gaits, at_slope, options["ground"], rows)
 
@@ -153,6 +154,7 @@ class _Designs:
         possible = _possible(self.walkers, which)
         if not possible:
             return self, which
+
         first = next(iter(possible))
         line = self.line_of(first)
         scales = scaling(possible[first], line)
@@ -198,6 +200,7 @@ def _survey(
                 if request:
                     solved = solve_line(designs.line_of(i), of_line, request)
                     gaits[:, [i]] = _long(solved)
+
     return gaits
 
 
@@ -213,6 +216,7 @@ def _gaits_over_plane(
         family = Family.of(lines[0], plane.keys)
         charts = make_charts(family, plane, request.wanted, (slope, slope), 1)
         gaits[:, possible] = _long(solve_plane(lines, plane, request, [charts]))
+
     return gaits
 
 
@@ -300,6 +304,7 @@ def _over_plane(
         for k in range(0, 0 if part.why else len(inside), _DESIGNS):
             some = inside[k : k + _DESIGNS]
             accepted[some] = _solve(family, part, values[some], some, rows)
+
     return accepted
 
 
@@ -388,6 +393,7 @@ class _Rows:
                 reached = lanes_of(points, chosen[name][there])
                 for column, values in _reached(problem.some(there), reached).items():
                     at[column][numbers[there]] = values
+
         if any_slope:
             self.at["smallest_slope"]["kind"][numbers[kept]] = ANY_SLOPE
 
@@ -417,11 +423,14 @@ class _Rows:
                 out[f"{name}_error"] = at["error"]
                 out[f"slope_at_{name}"] = slope
                 out[f"gait_at_{name}"] = at["gait"]
+
             out["stable_at_least_cost"] = self.at["least_cost"]["stable"]
+
         if options["at_slope"] is not None:
             out["attractor"] = self.attractor
             if options["ground"]:
                 out["largest_step_down"], out["largest_step_up"] = self.steps
+
         return out
 
     def _columns(self, walkers: WalkerArray) -> Arrays:
@@ -446,6 +455,7 @@ class _Rows:
             columns[angle + of] = self.at[quantity][angle]
             for rate in rates:
                 columns[rate + of] = self.at[quantity][rate] / walkers.time_unit
+
         columns["surveyed"] = self.surveyed
         return columns
 

@@ -71,6 +71,7 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
 
     values, vectors = _modes(jacobian, walker.point_foot or walker.massless_leg)
     times = step.times[:, 0] * walker.time_unit
+
     return {
         "state": image,
         "jacobian": jacobian,
@@ -99,6 +100,7 @@ def _losses(
     knee = None
     if walker.knees:
         knee = float(kneestrike_loss(walker, step.knee * scale)[0] * energy)
+
     return {
         "loss_normal": float(normal[0] * energy),
         "loss_tangential": float(tangential[0] * energy),
@@ -116,6 +118,7 @@ def _to_heelstrike(start: Start, params: Mapping[str, Any]) -> Step:
         raise WalkerError(
             "state", tuple(state.tolist()), f"leads to no heelstrike ({cause})"
         )
+
     return step
 
 
@@ -123,6 +126,7 @@ def _on_section(start: Start, params: Mapping[str, Any]) -> Start:
     """A start just after heelstrike: of a state within a step, the one that ends it."""
     if start.y is not None:
         return start
+
     step = _to_heelstrike(start, params)
     walker = start.problem.walker
     parameters = start.parameters

@@ -79,6 +79,7 @@ def optimum(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         search = _Search(question, question.programme(values), case)
         search.run(begins)
         tables.add(search)
+
     found = tables.arrays()
     return found if tables.optimum else found | nothing(search.nothing_found)
 
@@ -164,6 +165,7 @@ class _Verification:
             bound = self._settle()
             if np.isnan(bound):
                 return _NO_STEP
+
         return self._measured(bound, slope_bound)
 
     def _locate(self, at_point: Equations) -> bool:
@@ -192,6 +194,7 @@ class _Verification:
         is_stable = values["spectral_radius"] < _ON_CIRCLE
         if self.question.options["stable"] and not is_stable:
             return "the gait there is not stable"
+
         w = self.Z if self.question.window is not None else self.Z[:-1]
         X = np.concatenate([w[:, 0], self.x[:, 0]])
         slope = float(self.problem.slopes(np.exp(self.Z[-1]))[0])
@@ -256,6 +259,7 @@ class _Search:
             end = self.programme.improve(guess)
             self.ends.append(end)
             self.verified.append(self._verify(end))
+
         _check_keys(self.programme, guesses)
 
         gaits = [
@@ -284,6 +288,7 @@ class _Search:
         for gaits, (value, missed) in zip(candidates, judged, strict=True):
             merit = value / size + _MISSED * missed
             guesses.append(gaits[:, int(np.nan_to_num(merit, nan=np.inf).argmin())])
+
         return guesses
 
     def _verify(self, end: Optimum) -> _Verified | str:
@@ -408,6 +413,7 @@ class _Tables:
             values, _ = programme.judge(points.T)
             of_minimised = programme.objective.sign * programme.objective.scale
             columns[self.question.name] = of_minimised * values
+
         rows = zip(*(values.tolist() for values in columns.values()), strict=True)
         return [dict(zip(columns, row, strict=True)) for row in rows]
 

@@ -243,6 +243,7 @@ def candidates(question: Question) -> list[Coordinates]:
         if count:
             own = np.repeat((values / keys.scale)[:, None], count, axis=1)
             found.append(np.vstack([np.hstack(gaits), own]))
+
     return found
 
 

@@ -67,4 +67,5 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
             f"There is no {label} gait at slope {float(slope):g}; "
             f"there {are} {', '.join(labels)}."
         )
+
     return {"gaits": proved, "search": solved["search"], "others": others}

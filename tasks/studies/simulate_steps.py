@@ -92,6 +92,7 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
         result["series"] = _series(walker, taken.motion, taken.times, scale)
     elif when:
         result |= _of_phases(walker, taken.motion, taken.times.shape, scale)
+
     return result
 
 
@@ -155,6 +156,7 @@ def _take_steps(
         taken.states[k + 1] = _all_angles(x) * scale
         if isinstance(when, _Series):
             when.began += step.times[-1]
+
     return taken
 
 
@@ -176,6 +178,7 @@ def _of_steps(
     rates = states[:, 3:] / time_unit
     phases = times.shape[1]
     knee = times[:, 0] if phases == 2 else np.full(len(times), np.nan)
+
     return {
         "stance_angle": states[:, 0],
         "thigh_angle": states[:, 1],
@@ -207,6 +210,7 @@ def _of_phases(
         first = phases - len(of_step) if k == 0 and len(of_step) < phases else 0
         for place, phase in enumerate(of_step):
             samples[k, :, first + place] = phase[:4]
+
     angles = samples[:, 1:] * scale
     result = {
         "time": samples[:, 0] * walker.time_unit,
@@ -228,6 +232,7 @@ def _series(
         for phase in of_step:
             numbers.append(np.full(phase.shape[1], k, np.int32))
             parts.append(phase + np.array([begins[k], *[0.0] * 6])[:, None])
+
     rows = np.hstack(parts) if parts else np.empty((7, 0))
     result = {
         "step_number": np.concatenate(numbers) if numbers else np.empty(0, np.int32),
@@ -237,6 +242,7 @@ def _series(
     for i, link in enumerate(("st", "th", "sh")):
         result[f"theta_{link}"] = rows[1 + i] * scale
         result[f"rate_{link}"] = rows[4 + i] * scale / walker.time_unit
+
     return result
 
 
@@ -290,12 +296,14 @@ def begin(params: Mapping[str, Any]) -> Start:
         if len(state) == 6 or abs(state[:2].sum()) > ON_GROUND:
             return _begin_within(problem, slope, state)
         state = state[[0, 2, 3]] / [1.0, time_unit, time_unit]
+
     if not 0 < state[0] < MAX_ANGLE:
         raise WalkerError(
             "state",
             f"{float(state[0])!r} rad",
             f"must have a stance angle in (0, {MAX_ANGLE:.4g}) rad",
         )
+
     scale = scale_of(state[:1])
     parameters = problem.parameters(slope, scale)
     on_section = (state * [1.0, time_unit, time_unit])[:, None]
@@ -311,6 +319,7 @@ def _begin_within(problem: Lanes, slope: np.ndarray, state: np.ndarray) -> Start
     walker, links = problem.walker, len(state) // 2
     if links == 3 and not walker.knees:
         raise WalkerError("state", f"{len(state)} numbers", "must have no knee")
+
     stance, thigh, shank = state[[0, 1, links - 1]]
     angles = np.abs(state[:links])
     if not angles.max() < MAX_ANGLE:
@@ -332,6 +341,7 @@ def _begin_within(problem: Lanes, slope: np.ndarray, state: np.ndarray) -> Start
             "must have the swing foot above the ground; both feet of this state stand on"
             f" a slope of {ground:.6g} rad ({np.degrees(ground):.2f}°), to which it belongs",
         )
+
     scale = scale_of(np.maximum(angles.max(keepdims=True), 1e-3))
     parameters = problem.parameters(slope, scale)
     locked = links == 2
@@ -400,6 +410,7 @@ class _Series:
         at = np.clip(np.arange(first, last) * self.dt - start, 0.0, duration)
         if not self.limits:
             return at
+
         inside = at[(at > _MIN_TIME) & (at < duration - _MIN_TIME)]
         return np.concatenate([[0.0], inside, [duration]])
 
@@ -441,11 +452,13 @@ def take_step(
         motion += samples
         if outcome != STRUCK:
             break
+
         times.append(end)
         if free:
             x, begin = scan.lock(x[:, None], lane)[:, 0], end
     else:
         x = scan.land(x[:, None], lane)[:, 0]
+
     return Step(outcome, times, x, motion)
 
 
@@ -515,6 +528,7 @@ class _Phase:
         """
         if not np.abs(x).max() < _MAX_RATE:
             return x, begin, LOST, []
+
         scale = parameters[1]
         self._taylor.pars[:] = [
             *self.parameters(parameters),
@@ -533,6 +547,7 @@ class _Phase:
         if when and outcome != LOST:
             at = when(begin, end)
             samples = [self._sampled(motion(at), begin + at)]
+
         return state, begin + end, outcome, samples
 
     def _outcome(self, stop: int, state: np.ndarray) -> int:

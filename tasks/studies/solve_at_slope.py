@@ -183,6 +183,7 @@ def _absent(
             pieces = list(spans(branches, label)) if are_whole else []
             reason = point["reasons"][point["reason"][0, place]]
             absent.append(status.beyond(label, pieces, slope) or str(reason))
+
     return absent
 
 
@@ -213,11 +214,13 @@ def _by_the_other_rule(walker: Walker, slope: float) -> list[str]:
     """
     if not walker.knees:
         return []
+
     rule = next(each for each in TRAILING_KNEES if each != walker.trailing_knee)
     other = Problem(replace(walker, trailing_knee=rule))
     *_, check = search(other, slope)
     if check is None or not check.anthropomorphic.any():
         return []
+
     return [f'The walker has gaits at this slope with `trailing_knee` = "{rule}"']
 
 
@@ -266,6 +269,7 @@ def _solve_cycles(
     for place, gait in _converged(point).items():
         gait |= end_of_first_step(line, slope, gait)
         gaits.append((GAITS[place], gait))
+
     log = _left_out(point) if gaits else _said(point, status.NO_LONG)
     records = [record(label, slope, gait, walker) for label, gait in gaits]
     return answer(records, walker, log)
@@ -338,6 +342,7 @@ def _search_slope(
             labels.append((at.w[0, lane], ratio[lane], gait))
         else:
             others.append(gait)
+
     return _by_label(labels), others, _nearest_miss(at, w)
 
 
@@ -367,6 +372,7 @@ def _known(
         ratio = gait_ratio(known.stride)
         for lane in np.flatnonzero(has_label).tolist():
             labels.append((angle[lane], ratio[lane], found[int(place[lane])]))
+
     return labels, is_new
 
 
@@ -385,10 +391,12 @@ def _nearest_miss(at: Polished, w: np.ndarray) -> str:
     misses = np.flatnonzero(~at.step)
     if not len(misses):
         return "Nearest miss: none."
+
     angle = np.exp(w[0, misses[0]])
     where = f"Nearest miss: a solution at stance angle {angle:.6g} that"
     if at.doubt[misses[0]]:
         return f"{where} may be no step."
+
     return f"{where} is not a step: an event occurs too early."
 
 

@@ -215,6 +215,7 @@ def check_target(params: Mapping[str, Any]) -> dict[str, Any]:
     moved = [key for key, movers in middle["varied"].items() if target.vary in movers]
     high = check({**line, "set": {**line["set"], target.vary: target.high}})
     features = dict.fromkeys((*checked["features"], *middle["features"]))
+
     return {
         **checked,
         "sought": (target.vary, *moved),
@@ -275,6 +276,7 @@ def _target(
     changes = line.get("set") or {}
     if vary in changes:
         raise WalkerError(vary, changes[vary], "is varied and cannot be set too")
+
     between = asked.get("between") or _range(line, vary)
     low, high = map(float, between)
     if not low < high:
@@ -285,6 +287,7 @@ def _target(
     elif low <= 0 and "drive" not in walker.features:
         bound = "must be slopes above 0, as nothing but gravity drives the walker"
         raise WalkerError("between", (low, high), bound)
+
     return _Target(
         measure=measure,
         values=values,
@@ -340,6 +343,7 @@ def _search(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Found:
         off = np.abs(gaits[target.measure] - target.values[found.value])
         # What a gait's measure lacks of its value counts as an error of the gait.
         gaits["error_bound"] = gaits["error_bound"] + off / found.sizes(target)
+
     return found
 
 
@@ -364,6 +368,7 @@ def _along_slope(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _F
         solved = solve_guesses(problem, guesses, settle_there, wanted)
 
     pieces = [one.branch.piece(one.segment) for one in guessed]
+
     return _Found(
         solved=solved,
         groups=groups,
@@ -524,11 +529,13 @@ def _records(
     """Each gait as `solve_one` describes it, by what is varied."""
     if found.solved is None:
         return
+
     gaits, is_of_key = found.solved.gaits, target.vary != SLOPE
     for lane in np.argsort(found.varied, kind="stable").tolist():
         values = {name: array[lane] for name, array in gaits.items()}
         if values["status"] != status.CONVERGED or not values["anthropomorphic"]:
             continue
+
         values |= {"branch": np.int16(-1), "piece": np.int16(-1)}
         is_long = values["heelstrike_rate_ratio"] < LONG_BELOW
         label = "long" if is_long else "short"

@@ -105,6 +105,7 @@ def branches_over_any_slope(
     if Z:
         numbers = np.zeros(len(Z), int)
         atlases.follow_gaits(line, found, numbers, np.array(Z).T, COARSE)
+
     return Problem(walker, drive=drive), atlases.ranked(found[0])
 
 
@@ -169,6 +170,7 @@ class PointsOnBranches:
                 places = order[np.searchsorted(self.drive[order], column)]
                 column = self.asked[places]
             named[name] = column
+
         return named
 
 
@@ -198,6 +200,7 @@ def points_on_branches(
         own, drive = driven(problem.walker, slope)
         found = branches_of(own) if drive else []
         parts.append(PointsOnBranches(own, found, np.array([drive]), np.array([slope])))
+
     parts = [part for part in parts if len(part.drive)]
     # Rows are in the order in which their slopes were asked for.
     order = values.tolist()
@@ -212,6 +215,7 @@ def joined(parts: Sequence[Arrays]) -> Arrays:
     some = [part for part in parts if "nothing/reason" not in part]
     if some and len(some) < len(parts):
         names.pop("nothing/reason", None)
+
     return {
         name: np.concatenate([part[name] for part in parts if name in part])
         for name in names

@@ -92,6 +92,7 @@ class Solved:
         if lost_ratio is not None:
             converged = self.at.converged[lanes] & self.at.step[lanes]
             ratio = np.where(converged, ratio, lost_ratio)
+
         return Part(index, angle, ratio, solved)
 
 
@@ -139,4 +140,5 @@ def solve_guesses(
         for name in variables:
             values = [of_walker[name] for of_walker in measured]
             variables[name] = np.concatenate(values)
+
     return Solved(together, at, variables, lanes)

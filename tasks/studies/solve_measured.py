@@ -76,6 +76,7 @@ def measured(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         numbers, lines, _surveys(lines, steps), strict=True
     ):
         rows.compare(some, line, branches, steps)
+
     return rows.table()
 
 
@@ -118,6 +119,7 @@ class _Rows:
         slope = np.asarray(params["slope"], float)
         n, values = len(slope), params["values"]
         wanted = params.get("gaits") or GAITS
+
         return cls(
             lines=params["lines"],
             slope=slope,
@@ -145,6 +147,7 @@ class _Rows:
                 self.reason[row] = f"`slope` {bound}; got {slope:.6g}."
             else:
                 self.reason[row] = _wrong(line)
+
         return np.flatnonzero(self.reason == "")
 
     def compare(
@@ -164,6 +167,7 @@ class _Rows:
             if not gaits:
                 self.reason[row] = self._absent(row, points, place)
                 continue
+
             gait = min(gaits, key=lambda g: self._distance(row, points, (place, g)))
             self.gait[row] = GAITS[gait]
             for name in self.values:
@@ -228,6 +232,7 @@ def _bounds(points: Arrays, names: Mapping[str, Any]) -> Arrays:
     for name, factor in _FOLLOWING.items():
         if name in names:
             known[name] = factor * bound * np.abs(points[name])
+
     if "spectral_radius" in names:
         known["spectral_radius"] = points["multiplier_error_bound"]
     return {name: known.get(name, np.full(bound.shape, np.nan)) for name in names}

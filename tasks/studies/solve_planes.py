@@ -190,6 +190,7 @@ def make_charts(
             points = plane.lines_in(cell.box) * slopes
             made = sheets(family, cell, wanted, points)
             arrays |= arrays_of(made, f"{i}/sheets")
+
     if cells.halves:
         arrays |= _halves(plane, cells)
     return arrays
@@ -278,6 +279,7 @@ def solve_plane(
             lacking = ~accepted[i, at]
             for name, values in out.items():
                 values[i, at[lacking]] = points[name][lacking]
+
     return _joined(out) | {"reasons": np.array([*reasons, *sentences])}
 
 
@@ -342,6 +344,7 @@ def _by_charts(
         _check_scales(first, scales, values[:, d:])
         walkers = Family.of(first, varied).walkers(values)
         out = in_units_of(walkers, out, family.walkers(keys[which]))
+
     return out, accepted[which]
 
 
@@ -390,6 +393,7 @@ def _at_keys(
             )
             for name, value in solved.items():
                 out[name][at] = value
+
     return out, accepted
 
 
@@ -485,8 +489,10 @@ def solve(
             given, sure = interpolate(block, made, wanted)
             store(part, given, wanted.labels)
             integrated &= ~sure
+
         fine &= _solve_block(block, wanted, part, integrated)
         accepted[some] = fine.reshape(-1, s)
+
     return _by_line(out, n), accepted
 
 
@@ -501,6 +507,7 @@ def _away_from_ends(block: Block) -> np.ndarray:
             if kind in (FOLD, END):
                 within = PREDICTED_WITHIN * max(error, _MIN_END_ERROR)
                 away &= np.abs(block.q - end[:, None]) > within
+
     return away.ravel()
 
 
@@ -517,6 +524,7 @@ def _known_to_end(block: Block) -> np.ndarray:
             if kind == BEYOND and len(lines):
                 may_walk = _may_walk(block, patch, side, lines, end[lines])
                 known[lines] &= ~(beyond[lines] & may_walk[:, None])
+
     return known.ravel()
 
 
@@ -574,6 +582,7 @@ def _solve_block(
     for patch in block.cell.patches:
         index = block.on(patch)
         predicted.append(_Predicted.of(block, patch, index[integrated[index]]))
+
     accepted = np.ones(len(integrated), bool)
     if not any(len(on_patch.index) for on_patch in predicted):
         return accepted
@@ -592,6 +601,7 @@ def _solve_block(
         )
         given.append(part.some(is_step))
         found.append((on_patch.index, at.w))
+
     store(out, given, wanted.labels)
 
     for one, other in combinations(found, 2):

@@ -93,6 +93,7 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     if params.get("level"):
         return atlases.to_arrays([])
+
     problem, _ = followed_over(params)
     steps = int(params.get("steps", 1))
     # Of gaits of one step, those of several take the flips and where they are searched
@@ -102,6 +103,7 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         single = atlases.survey(problem, tolerance)
     else:
         (single,) = survey([problem.walker], problem.structure, tolerance)
+
     branches = cycle_branches(problem, single, steps) if steps > 1 else single
     return atlases.to_arrays(branches)
 
@@ -153,9 +155,11 @@ def solve_line(
     walker = walker_of_line(line)
     if request.along:
         return _solve_along(line, branches, request)
+
     is_level = request.slope <= 0
     if is_level.any():
         return _on_any_ground(line, walker, branches, request, is_level)
+
     keys = scales(walker, line) if request.is_converted else ()
     if keys:
         plain = plain_line(line, keys)
@@ -181,6 +185,7 @@ def _solve_alone(
     if request.charted:
         names = request.wanted.names
         charted = ChartedDerivatives(problem, branches, names, request.slope)
+
     (solved,) = _solve_branches(
         problem, [line], [branches], request, polynomials, charted
     )
@@ -208,6 +213,7 @@ def _solve_along(
         other = {**line, "set": keys}
         solved = _solve_driven(other, walker_of_line(other), slope, request)
         parts.append((np.array([place]), solved))
+
     return _side_by_side(len(values), parts)
 
 
@@ -223,6 +229,7 @@ def _on_any_ground(
     if not is_level.all():
         down = replace(request, slope=request.slope[~is_level])
         parts.append((np.flatnonzero(~is_level), solve_line(line, branches, down)))
+
     for place in np.flatnonzero(is_level):
         slope = float(request.slope[place])
         parts.append((np.array([place]), _solve_driven(line, walker, slope, request)))
@@ -244,6 +251,7 @@ def _side_by_side(n: int, parts: Sequence[tuple[np.ndarray, Arrays]]) -> Arrays:
     for places, part in parts:
         solved["reason"][places] += len(sentences)
         sentences += [str(each) for each in part["reasons"]]
+
     return {**solved, "reasons": np.array(sentences)}
 
 
@@ -254,6 +262,7 @@ def _solve_driven(
     problem, drive = driven(walker, slope, request.steps)
     if not drive:
         return _undriven(walker, slope, request)
+
     here = replace(
         request,
         slope=np.array([drive]),
@@ -325,6 +334,7 @@ def solve_lines(
         keys = [scales(*each) for each in zip(walkers, lines, strict=True)]
         if any(keys):
             return _solve_scaled(walkers, lines, keys, request)
+
     results: list[tuple[list[Branch], Arrays]] = [([], {})] * len(walkers)
     for structure, numbers in alike(walkers).items():
         some = [walkers[i] for i in numbers]
@@ -334,6 +344,7 @@ def solve_lines(
         )
         for i, branches, one in zip(numbers, surveyed, solved, strict=True):
             results[i] = branches, one
+
     return results
 
 
@@ -359,6 +370,7 @@ def _lines_along(
         surveyed = atlases.survey_lines(some, COARSE)
         for i, branches in zip(numbers, surveyed, strict=True):
             atlas[i] = branches
+
     return [
         (branches, solve_line(line, branches, request))
         for line, branches in zip(lines, atlas, strict=True)
@@ -373,6 +385,7 @@ def _lines_on_any_ground(
     atlas: list[list[Branch]] = [[] for _ in lines]
     if len(down.slope):
         atlas = [branches for branches, _ in solve_lines(lines, down)]
+
     return [
         (branches, solve_line(line, branches, request))
         for line, branches in zip(lines, atlas, strict=True)
@@ -402,6 +415,7 @@ def _solve_scaled(
         if own:
             points = _converted(points, walker, plain[name])
         solved.append((branches, points))
+
     return solved
 
 
@@ -420,6 +434,7 @@ def _solve_plain(
         if name not in found:
             found[name] = _solved[key]
         _solved[key] = found[name]
+
     _forget()
     return found
 
@@ -476,6 +491,7 @@ def in_units_of(walker: Walker, points: Arrays, own: Walker) -> Arrays:
             unit = np.asarray(VARIABLES[name].unit(*ratios))
             after = (1,) * (values.ndim - 1) if unit.ndim else ()
             converted[name] = values * unit.reshape(unit.shape + after)
+
     return converted
 
 
@@ -520,6 +536,7 @@ def survey(
             new, atlases.survey_lines(problem, tolerance), strict=True
         ):
             _surveyed[keys[i]] = branches
+
     results = [_surveyed[key] for key in keys]
     while len(_surveyed) > _MAX_SURVEYED:
         _surveyed.popitem(last=False)
@@ -555,6 +572,7 @@ def _solve_branches(
     if len(names) < len(void):
         for line, out in zip(lines, results, strict=True):
             _prove(out, line, problem, request)
+
     return [
         _answer(problem.alone(i), branches, wanted, out)
         for i, (branches, out) in enumerate(zip(atlas, results, strict=True))
@@ -626,6 +644,7 @@ def _solve_block(
     for k, guess in enumerate(guessed):
         part = solved.part(k, guess.index, guess.numbers, guess.ratio)
         parts[guess.line].append(part)
+
     return parts
 
 
@@ -643,6 +662,7 @@ def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
     if problem.steps > 1:
         outside = _outside(problem, branches)
         return status.reasons(outside, outside)
+
     lost = sorted(slope for branch in branches for slope in branch.lost())
     lost = [at * problem.drive.unit(problem.walker) for at in lost]
     if problem.drive.base is None:
@@ -651,6 +671,7 @@ def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
     else:
         searched = searched_driven(problem)
         pieces = [in_units(problem, [*spans(branches, label)]) for label in GAITS[:2]]
+
     long, short = (
         status.outside(label, of_label, searched, lost, problem.drive.key)
         for label, of_label in zip(GAITS[:2], pieces, strict=True)
@@ -686,6 +707,7 @@ def _prove(
         if request.along:
             walker, _ = problem.drive.at(problem.walker, float(request.slope[i]))
             keys[request.along] = getattr(walker, request.along)
+
         asked = {
             "walker": line["walker"],
             "set": keys,
@@ -749,6 +771,7 @@ def _guessed(
             index = integrated[piece.number, piece.first]
         if not len(index):
             continue
+
         Z, segment = piece.branch.on_piece(piece.first, piece.last, q[index])
         keep = _may_hold(piece.branch, segment, request.wanted.labels)
         if keep.any():

@@ -66,6 +66,7 @@ def trace(
                     -walker.R * a,
                 )
             )
+
     return stacked("trace", parts, COLUMNS)
 
 

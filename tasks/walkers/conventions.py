@@ -103,6 +103,7 @@ def to_ours(
                 row += (abs(factor) if is_size else factor) * with_slope[name]
         else:
             row += rows[0] if is_size else -rows[0]
+
     return rows
 
 
@@ -117,6 +118,7 @@ def shank_of(convention: str, table: Mapping[str, np.ndarray]) -> np.ndarray:
         for name in about.get(coordinate, {}):
             if name in table:
                 row[:] = table[name]
+
     return rows
 
 
@@ -183,6 +185,7 @@ def _written(convention: str, gait: Mapping[str, str], unit: float) -> dict[str,
             if factor
         ]
         written[name] = str(sum(terms, Decimal(0)))
+
     return written | {"period": str(exact["period"])}
 
 

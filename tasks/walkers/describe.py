@@ -38,6 +38,7 @@ def describe(params: Mapping[str, Any]) -> dict[str, Any]:
         walkers = {params["name"]: from_catalogue(params["name"])}
     else:
         walkers = CATALOGUE
+
     return {
         "walkers": [
             {
@@ -76,4 +77,5 @@ def drawing(walker: Walker) -> str:
             "     /     \\",
             f"   {foot}     {foot}  feet",
         ]
+
     return "\n".join(rows)

@@ -49,6 +49,7 @@ def exact_offsets(walker: Walker) -> dict[str, str]:
             exact["w_s"] = key["c_s"] * sine_S / cosine_S
         elif not walker.m_t and walker.m_s:
             exact["w_s"] = (key["c_s"] * sine_S - key["l_t"] * sine_T) / cosine_S
+
         if walker.m_t:
             shank = (
                 key["l_t"] * sine_T
@@ -58,6 +59,7 @@ def exact_offsets(walker: Walker) -> dict[str, str]:
             exact["w_t"] = (
                 -(key["m_s"] / key["m_t"] * shank + key["c_t"] * sine_T) / cosine_T
             )
+
         return {
             name: _stated(value) for name, value in exact.items() if value != key[name]
         }
@@ -75,5 +77,6 @@ def _sine_and_cosine(angle: Decimal) -> tuple[Decimal, Decimal]:
         sums[k % 2] += term if k % 4 < 2 else -term
         k += 1
         term = term * abs(angle) / k
+
     cosine, sine = sums
     return sine.copy_sign(angle), cosine

@@ -79,6 +79,7 @@ def from_table(table: Mapping[str, Any]) -> Walker:
         return (
             replace(from_catalogue(base), **values) if values else from_catalogue(base)
         )
+
     missing = [
         f.name
         for f in fields(Walker)
@@ -88,6 +89,7 @@ def from_table(table: Mapping[str, Any]) -> Walker:
         raise WalkerError(
             missing[0], ", ".join(values) or "no key", "is missing from the walker"
         )
+
     try:
         return Walker(**values)
     except WalkerError as error:
@@ -101,9 +103,11 @@ def _of_one_link(error: WalkerError, table: Mapping[str, Any]) -> WalkerError:
     if error.key == "m_s":
         bound = "must lie off the hip, or `r` be > 0: the leg has no inertia"
         return WalkerError("c", table["c"], bound)
+
     own = {link: key for key, links in _OF_LINKS.items() for link in links}
     if error.key not in own:
         return error
+
     key = own[error.key]
     return WalkerError(key, table[key], error.bound.replace("m_t, m_s", "m"))
 
@@ -144,6 +148,7 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
         for key, value in {"l": length, "R": radius, "c": centre}.items():
             if not isinstance(value, Fraction | np.ndarray):
                 check_number(key, value)
+
         links = {_OF_THIGH[key]: given.pop(key) for key in _OF_THIGH if key in given}
         # The shank, without mass, has the same centre: that of the leg where its mass
         # vanishes.
@@ -155,6 +160,7 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
         }
         halves = {"l_t": length / 2, "l_s": length / 2 + radius, **shank}
         given = {**halves, "R": radius, "r_t": 0.0, **links, **given}
+
     return {**dict.fromkeys(ZERO_IF_STRAIGHT, 0.0), **given}
 
 
@@ -164,6 +170,7 @@ def _check_one_link(given: Mapping[str, Any]) -> None:
         if key in KEYS and key not in _WITH_ONE_LINK:
             bound = "does not go with `l`, the length of a leg of one link"
             raise WalkerError(key, given[key], bound)
+
     _check_names(given, (*KEYS, *ONE_LINK), (*ONE_LINK, *_WITH_ONE_LINK))
     for key in NEEDED_BY_ONE_LINK:
         if key not in given:
@@ -185,6 +192,7 @@ def from_catalogue(name: object) -> Walker:
             name,
             "is not a known walker" + (f" (did you mean {near[0]}?)" if near else ""),
         )
+
     return CATALOGUE[name]
 
 
@@ -200,6 +208,7 @@ def _check_names(
                 hint = f"did you mean {' or '.join(f'`{name}`' for name in near)}?"
             else:
                 hint = f"keys: {', '.join(k for k in others if k != 'slope')}"
+
             said = "; ".join(filter(None, [why_no_key({"key": key}), hint]))
             raise WalkerError(key, values[key], f"is not a walker key ({said})")
 
@@ -254,6 +263,7 @@ def resolve(
         if changes.get(key) is not None:
             derived[key] = changes.pop(key)
             check_number(key, derived[key])
+
     if "toward" in table and "detuning" not in derived:
         _detuning_ends(table)  # is checked though nothing is detuned
     moved: dict[str, Any] = _moved_values(table, start, derived, changes, links)
@@ -334,6 +344,7 @@ def value_of_key(line: Mapping[str, Any], key: str) -> float:
             "two links",
             "is a key of a leg of one link, whose table has `l`, `m` and `c`",
         )
+
     return float(derived[key] if key in derived else getattr(walker, key))
 
 
@@ -372,10 +383,12 @@ def _moved_values(
             raise WalkerError(
                 key, other, f"is set by `{owner}`, which owns {', '.join(keys)}"
             )
+
         for key in (k for k in keys if k in owners):
             raise WalkerError(owner, value, f"sets {key}, and so does `{owners[key]}`")
         owners |= dict.fromkeys(keys, owner)
         values |= own_values
+
     return values
 
 
@@ -414,6 +427,7 @@ def _free_keys(tuned: Any, changes: Mapping[str, Any]) -> tuple[str, ...]:
         raise WalkerError(
             "tuned", tuned, f"must be a list of keys of a walker ({', '.join(NUMBERS)})"
         )
+
     for key in tuned:
         if key in changes:
             raise WalkerError(
@@ -421,6 +435,7 @@ def _free_keys(tuned: Any, changes: Mapping[str, Any]) -> tuple[str, ...]:
                 changes[key],
                 "is set by `tuned`, which changes it so that the walker is tuned",
             )
+
     return tuple(dict.fromkeys(tuned))
 
 
@@ -443,6 +458,7 @@ def _retuned(walkers: _Walkers, free: Sequence[str]) -> _Walkers:
             ", ".join(free),
             "cannot meet the static conditions of vanishing slopes; add a key",
         )
+
     tuned = {
         key: value if len(value) > 1 else float(value[0])
         for key, value in values.items()
@@ -474,12 +490,14 @@ def _values(
             for key, (first, last) in ends.items()
             if first != last
         }
+
     own = _itself(_table(walker))
     total = own.total_mass
     if not own.m_t and (
         own.c_t or own.w_t or own.r_t
     ):  # the centre of no mass need not be at the hip
         return {"m_t": 0.0, "m_s": amount * total, "m_h": (1 - 2 * amount) * total}
+
     return {"m_t": (0.5 - amount) * total, "m_s": amount * total, "m_h": 0.0}
 
 
@@ -538,6 +556,7 @@ def resolve_many(
     if "tuned" in table:
         free = _free_keys(table.pop("tuned"), overrides)
         return _retuned(resolve_many(table, overrides), free)
+
     arrays = {
         key: value for key, value in overrides.items() if isinstance(value, np.ndarray)
     }
@@ -551,6 +570,7 @@ def resolve_many(
             impossible = error
     else:
         raise impossible
+
     values: dict[str, Any] = {}
     start, others = split({k: v for k, v in table.items() if k not in _MORE}, overrides)
     if is_one_link(table):
@@ -560,6 +580,7 @@ def resolve_many(
             if isinstance(value, np.ndarray)
         }
         arrays = {key: value for key, value in arrays.items() if key in others}
+
     for key, array in arrays.items():
         values |= _values(key, table, array) if key in _DERIVED else {key: array}
     return WalkerArray(**{**first.table(), **values})
@@ -577,6 +598,7 @@ def way(walker: str | Mapping[str, Any]) -> dict[str, Any]:
             "end": "the physical one",
             "tables": tables,
         }
+
     own = {key: value for key, value in table.items() if key not in _MORE}
     return {"start": label(own), "end": label(table["toward"]), "tables": tables}
 
@@ -614,6 +636,7 @@ def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
                 "needs walker A or C, or `toward`, another walker",
             )
         return from_catalogue(name), from_catalogue(PARTNERS[str(name)])
+
     other = table["toward"]
     if not isinstance(other, str | Mapping):
         raise WalkerError("toward", other, "must be the name or the table of a walker")
@@ -621,6 +644,7 @@ def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
         raise WalkerError(
             "toward", label(other), "must be a walker that has no `toward` itself"
         )
+
     start = _itself(table)
     try:
         end = resolve(other)
@@ -629,10 +653,12 @@ def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
         raise WalkerError(
             "toward", error.value, f"must be a walker, and its `{key}` {error.bound}"
         ) from error
+
     if start.knees != end.knees:
         raise WalkerError(
             "toward", label(other), f"must have {_LEGS[start.knees]}, as the walker has"
         )
+
     for key in ("units", "trailing_knee"):
         own = getattr(start, key)
         if getattr(end, key) != own:
@@ -641,10 +667,12 @@ def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
                 label(other),
                 f'must have `{key}` = "{own}", as the walker has',
             )
+
     if all(getattr(start, key) == getattr(end, key) for key in NUMBERS):
         raise WalkerError(
             "toward", label(other), "must differ from the walker in a key"
         )
+
     return start, end
 
 
@@ -662,4 +690,5 @@ def label(walker: str | Mapping[str, Any]) -> str:
     name = table.get("name") or table.get("base")
     if table.get("base") == name and keys:
         return f"{name} with {keys}"
+
     return str(name or "a walker of its own")

@@ -43,6 +43,7 @@ def scales(walker: Walker, line: Mapping[str, Any]) -> tuple[str, ...]:
     """
     if not walker.is_passive:
         return ()
+
     changes = line.get("set") or {}
     for keys, _ in _candidates(walker, line):
         others = {key: value for key, value in changes.items() if key not in keys}
@@ -52,6 +53,7 @@ def scales(walker: Walker, line: Mapping[str, Any]) -> tuple[str, ...]:
             continue
         if _differ_in_units(walker, plain):
             return keys
+
     return ("g",) if "g" in changes else ()
 
 
@@ -80,15 +82,18 @@ def _is_scale(walker: Walker, line: Mapping[str, Any], key: str) -> bool:
     kind = _KINDS.get(key, "")
     if kind not in ("length", "mass"):
         return False
+
     changes, definition = line["set"], line["walker"]
     others = (moved_by(other, definition) for other in changes if other != key)
     sizes = (own for moved in others for own in moved if KEYS.get(own, "") == kind)
     if any(sizes) or not _covers(walker, definition, (key,), {kind}):
         return False
+
     try:
         twice = resolve(definition, {**changes, key: 2 * changes[key]})
     except WalkerError:
         return False
+
     return _differ_in_units(twice, walker)
 
 
@@ -120,6 +125,7 @@ def scaled(params: Mapping[str, Any]) -> dict[str, Any]:
         sizes for _, sizes in _candidates(walker, params)
     )
     plain_units = units(walker_of_line(plain) if keys else walker)
+
     return {
         "keys": keys,
         "plain": plain,
@@ -176,15 +182,18 @@ def _differ_in_units(one: Walker, other: Walker) -> bool:
         return False
     if one.trailing_knee != other.trailing_knee:
         return False
+
     sizes = {"length": (one.leg, other.leg), "angle": (1.0, 1.0)}
     sizes["mass"] = one.total_mass, other.total_mass
     for key, kind in KEYS.items():
         if kind not in sizes:
             continue
+
         a, b = (
             getattr(each, key) / size
             for each, size in zip((one, other), sizes[kind], strict=True)
         )
         if abs(a - b) > _ROUNDING * abs(b):
             return False
+
     return True

@@ -160,6 +160,7 @@ def nearest(
         moved = tuning.step(change, active, searching=True)
         change[:, active] += moved
         active = active[np.abs(moved).max(axis=0) >= _ENOUGH]
+
     if len(off):
         for _ in range(_CORRECTIONS):
             change[:, off] += tuning.step(change, off, searching=False)
@@ -169,6 +170,7 @@ def nearest(
     for key, value in tuning.moved(change).items():
         values[key] = value.astype(float)
         rounded[key] = values[key].astype(np.longdouble)
+
     found = _meet_conditions(tuning.start | rounded, walker.knees)
     kept = {key: np.where(found, value, np.nan) for key, value in values.items()}
     return kept, np.asarray(change, float), found
@@ -204,6 +206,7 @@ class _Tuning:
         for key in free:
             size = np.abs(self.start[key])
             scales.append(np.where(size != 0, size, self._leg))
+
         self.scale = np.array(scales, float)
 
     def moved(self, change: ndarray, lanes: Any = ...) -> dict[str, ndarray]:
@@ -274,6 +277,7 @@ def _conditions(
     if knees:
         residuals.append(shank / leg)
         by.append({name: value / leg for name, value in shank_by.items()})
+
     return np.array(residuals), by
 
 

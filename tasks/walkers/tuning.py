@@ -36,15 +36,18 @@ def untuned(params: Mapping[str, Any]) -> str:
     table = {"base": given} if isinstance(given, str) else dict(given)
     if table.get("base") not in CATALOGUE or "detuning" in (*table, *changes):
         return ""
+
     base, walker = CATALOGUE[table["base"]], resolve(given, changes)
     if not is_tuned(base) or is_tuned(walker):
         return ""
+
     keys = ", ".join(
         key
         for key in dict.fromkeys((*table, *changes))
         if key in (*KEYS, "foot_mass_ratio")
     )
     off = ", ".join(f"{name} {value:.3g}" for name, value in statics(walker).items())
+
     return (
         f"With this {keys}, {table['base']} is no longer tuned ({off}): it has no gaits at vanishing slopes. "
         "`gaitsweep tune` shows the nearest walker that is; `tuned` retunes."
@@ -95,6 +98,7 @@ def tune(params: Mapping[str, Any]) -> dict[str, Any]:
             raise WalkerError(
                 "free", key, f"must name walker keys ({', '.join(NUMBERS)})"
             )
+
     values, change, found = nearest(start, free)
     if not found[0]:
         raise WalkerError(
@@ -102,6 +106,7 @@ def tune(params: Mapping[str, Any]) -> dict[str, Any]:
             ", ".join(free),
             f"cannot meet the zero-slope conditions; {_instead(start, free)}",
         )
+
     tuned = Walker(
         **{**start.table(), **{k: float(value[0]) for k, value in values.items()}}
     )
@@ -110,6 +115,7 @@ def tune(params: Mapping[str, Any]) -> dict[str, Any]:
         for k in free
         if getattr(tuned, k) != getattr(start, k)
     }
+
     return {
         "walker": tuned.table(),
         "moved": moved,

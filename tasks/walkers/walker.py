@@ -155,6 +155,7 @@ class Walker:
             raise WalkerError("units", repr(self.units), 'must be "SI" or "1"')
         if not isinstance(self.knees, bool):
             raise WalkerError("knees", repr(self.knees), "must be true or false")
+
         self._check_trailing_knee()
         self._refuse(
             "must be > 0",
@@ -174,6 +175,7 @@ class Walker:
             )
             object.__setattr__(self, "m_t", 0.5)
             object.__setattr__(self, "m_s", 0.0)
+
         self._check_geometry()
         self._check_inertia()
         self._refuse(

@@ -39,6 +39,7 @@ class WalkerArray(Walker):
         }
         units: Any = np.array([walker.units for walker in walkers])
         first = walkers[0]
+
         return cls(
             **numbers,
             knees=first.knees,

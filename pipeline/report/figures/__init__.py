@@ -108,11 +108,14 @@ def _of_package(source: Source, name: str) -> Sketch:
         plot = extensions.find("figures", name, Plot)
     except extensions.ExtensionError as error:
         raise Undrawn(str(error)) from error
+
     if plot is None:
         raise Undrawn("there is no figure of that name")
+
     absent = [each for each in plot.reads if each not in source.grid.variables]
     if absent:
         raise Undrawn(f"the archive has no {' and no '.join(absent)}")
+
     drawn = Sketch(name, plot.height)
     try:
         data = pd.DataFrame(plot.draw(drawn.panels[0], source.grid))
@@ -120,6 +123,7 @@ def _of_package(source: Source, name: str) -> Sketch:
         Exception
     ) as error:  # whatever a function may raise: the other figures are drawn
         raise Undrawn(f"its package raises {type(error).__name__}: {error}") from error
+
     drawn.texts = {
         "title": "{title}",
         "alt": "{alt}",

@@ -49,6 +49,7 @@ def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
     table = table[np.isfinite(table["stance_angle"])]
     if table.empty:
         return None
+
     every_line = source.lines_of(table)
     lines = evenly(every_line, MAX_PANELS)
     height = 330 if len(lines) == 1 else 230 * len(lines)
@@ -67,6 +68,7 @@ def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
         if landmarks.has_rounding(every):
             sketch.key("rounding range", PRINTED, lw=7, alpha=0.25)
         sketch.key("computed", lw=0.8, ls=DOTTED)
+
     return sketch.finish(
         table,
         transients=_transients(source, table),
@@ -141,6 +143,7 @@ def _transients(source: Source, table: pd.DataFrame) -> int:
     )
     if crises is None or survival is None:
         return 0
+
     names = (
         table["walker"] if "walker" in table else pd.Series(source.walker, table.index)
     )
@@ -246,6 +249,7 @@ def chaotic(source: Source, line: Line) -> Chaos | None:
     rows = line.rows
     if "standard_error" not in rows:
         return None
+
     along = source.along
     if along == "slope":
         rows = rows[rows["slope"] < _loss_of_walking(source, line)]
@@ -256,6 +260,7 @@ def chaotic(source: Source, line: Line) -> Chaos | None:
     found = rows.loc[is_positive, along]
     if found.empty:
         return None
+
     low, high = float(found.min()), float(found.max())
     between = int(rows[along].between(low, high).sum())
     return Chaos(low, high, len(found), between)

@@ -56,8 +56,10 @@ class Body:
             thigh, l_s, radius, eps = (float(parameters[key]) for key in _LEG_KEYS)
         except (KeyError, TypeError, ValueError):
             return None
+
         shank = l_s - radius
         sine = thigh * np.sin(eps) / shank if shank else 0.0
+
         return (
             cls(thigh, shank, radius, eps, float(np.arcsin(sine)))
             if abs(sine) <= 1
@@ -158,6 +160,7 @@ def _alike(
         ]
         masses = [round(_number(table, key) / mass, 2) for key in ("m_t", "m_s", "m_h")]
         looks.setdefault((*lengths, *masses, round(body.eps_T, 2)), []).append(name)
+
     return {", ".join(names): bodies[names[0]] for names in looks.values()}
 
 
@@ -175,6 +178,7 @@ def _sketch(name: str, bodies: Collection[str], of_few: float) -> Sketch:
     for axes in sketch.panels:
         axes.set_aspect("equal")
         axes.axis("off")
+
     for axes, walker in zip(sketch.panels, bodies, strict=False):
         axes.set_title(
             "\n".join(
@@ -182,6 +186,7 @@ def _sketch(name: str, bodies: Collection[str], of_few: float) -> Sketch:
             ),
             pad=2,
         )
+
     return sketch
 
 
@@ -207,6 +212,7 @@ def walker(source: Source) -> Sketch | None:
     bodies = _alike(_bodies(source))
     if not bodies:
         return None
+
     sketch, rows = _sketch("walker", bodies, 270), []
     for axes, (name, (body, table)) in zip(sketch.panels, bodies.items(), strict=False):
         _draw_walker(sketch, axes, name, body, table)
@@ -214,6 +220,7 @@ def walker(source: Source) -> Sketch | None:
             {"walker": name, "parameter": key, "value": value}
             for key, value in table.items()
         ]
+
     s, each = ("s", ", each to its own scale") if len(bodies) > 1 else ("", "")
     return _finish(sketch, source, bodies, pd.DataFrame(rows), s=s, each=each)
 
@@ -270,6 +277,7 @@ def _draw_walker(
         rows = pd.DataFrame([{**one.values, "x": one.at.real, "y": one.at.imag}])
         tips = {key: key for key in one.values}
         sketch.mark(axes, rows, f"{name} · {one.part}", tips=tips, x="x", y="y")
+
     axes.set_xlim(hip.real - 0.5 * height, hip.real + 0.5 * height)
     axes.set_ylim(ground - 0.04 * height, ground + 1.12 * height)
 
@@ -354,6 +362,7 @@ def conditions(source: Source) -> Sketch | None:
     bodies = _bodies(source)
     if not bodies:
         return None
+
     sketch, rows, missed = _sketch("conditions", bodies, 290), [], {}
     for axes, (name, (body, table)) in zip(sketch.panels, bodies.items(), strict=False):
         standing = _Standing.of(body, table)
@@ -362,9 +371,11 @@ def conditions(source: Source) -> Sketch | None:
         _write_residuals(axes, standing, unit)
         rows.append({"walker": name, **standing.residuals})
         missed[name] = _missed(standing, unit)
+
     said = (
         "the centre of mass of {walker} lies {centre_of_mass_from_line:3} from the line"
     )
+
     return _finish(
         sketch,
         source,
@@ -405,6 +416,7 @@ def _draw_standing(axes: Axes, body: Body, standing: _Standing) -> None:
     if standing.has_knees:
         line = np.array([standing.knee, standing.shank])
         axes.plot(line.real, line.imag, color=SECOND, lw=1.2, ls=(0, (4, 1.5)))
+
     for at in (standing.thigh, standing.shank):
         axes.plot(at.real, at.imag, "o", color=LINE, ms=5, zorder=5)
     centre = standing.centre

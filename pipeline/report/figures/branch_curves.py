@@ -132,6 +132,7 @@ def _reach(source: Source) -> str:
     given = source.given("axes", source.along)
     if special is None or not given:
         return ""
+
     ends = (given["from"], given["to"]) if isinstance(given, dict) else given
     least, largest = min(ends), max(ends)
     edges = special.loc[special["kind"].astype(str) == "window", source.along]
@@ -176,6 +177,7 @@ def _data(source: Source, table: pd.DataFrame) -> _Branches:
     lines = evenly(every, MAX_PANELS)
     # Panels of one walker all have its colour: their titles tell them apart.
     own = [WALKERS.get(line.at["walker"], LINE) for line in lines]
+
     return _Branches(
         lines,
         len(every),
@@ -229,6 +231,7 @@ def _draw_line(sketch: Sketch, source: Source, shown: _Branches, k: int) -> None
         letter = f"({'abcdefghi'[k]}) " if shown.count > 1 else ""
         title = letter + shorten(line.label, 60 // min(shown.count, 3))
         axes.set_title(title, fontsize=9, pad=4, loc="left")
+
     _draw_runs(axes, shown.drawn[k], shown.inks[k], shown.along)
     for rows in shown.drawn[k]:
         computed = rows[~rows["border"].astype(bool)] if "border" in rows else rows
@@ -295,6 +298,7 @@ def _enlarge(sketch: Sketch, source: Source, shown: _Branches, k: int) -> Axes |
     for i, points in zip(members, near, strict=True):
         _draw_runs(inset, shown.drawn[i], shown.inks[i], along)
         _draw_special(sketch, inset, source, shown.lines[i], points)
+
     _frame_inset(axes, inset)
     return inset
 
@@ -320,6 +324,7 @@ def _frame_inset(axes: Axes, inset: Axes) -> None:
     for which, end in zip("xy", ends, strict=True):
         tick = _round_below(end)
         getattr(inset, f"set_{which}ticks")([tick], [plain(tick, 2)])
+
     inset.tick_params(labelsize=7, length=2, pad=1.5)
     inset.tick_params(axis="x", pad=3)  # below marks on the frame
     inset.grid(False)
@@ -374,6 +379,7 @@ def _draw_special(
     along = source.along
     if not {"kind", along, "stance_angle"} <= set(points.columns) or points.empty:
         return
+
     for kind, rows in points.groupby(points["kind"].astype(str), sort=False):
         axes.plot(
             rows[along],
@@ -383,6 +389,7 @@ def _draw_special(
             clip_on=False,
             **_mark(str(kind)),
         )
+
     # At the slope where steps vanish there is none, however small the last one
     # followed.
     gaits = points.assign(

@@ -108,6 +108,7 @@ def parts(curve: pd.DataFrame) -> pd.DataFrame:
             whole.drop(columns="border", errors="ignore"),
             gap,
         ]
+
     return pd.concat(
         rows,
         ignore_index=True,

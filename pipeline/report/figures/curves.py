@@ -53,6 +53,7 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
     meetings = _mark_meetings(sketch, source, key)
     words = " and ".join(map(_several, kinds))
     _legend(sketch, kinds)
+
     return sketch.finish(
         _named_by_key(table, key),
         count=len(touches),
@@ -86,10 +87,12 @@ def _abscissa(table: pd.DataFrame) -> dict[str, str]:
     """What curves lie over beside the key: the slope, or another key at fixed slopes."""
     if "other_key" not in table:
         return {"x": "slope γ (rad)", "over": "slope"}
+
     key = str(table["other_key"].iloc[0])
     unit = print_units(table.attrs.get("units", {}).get("other_value", ""))
     slopes = sorted(set(table["slope"].tolist()))
     shown = ", ".join(plain(slope) for slope in slopes)
+
     return {
         "x": with_unit(symbol(key), unit),
         "over": f"{key} at slope {shown} rad",
@@ -148,6 +151,7 @@ def _mark_touches(source: Source, axes: Axes, key: str) -> list[str]:
     turns = source.table("turnings", "slope", "value", "turn")
     if turns is None:
         return []
+
     # Where curves of flips or ends turn back, two such points meet on one branch.
     kinds = (
         turns["kind"].astype(str) if "kind" in turns else pd.Series("fold", turns.index)
@@ -162,6 +166,7 @@ def _mark_touches(source: Source, axes: Axes, key: str) -> list[str]:
         touches.append(
             f"{key} {plain(row.value, 9)} and slope {plain(row.slope, 9)} rad"
         )
+
     return touches
 
 
@@ -173,6 +178,7 @@ def _mark_meetings(sketch: Sketch, source: Source, key: str) -> list[str]:
     table = source.table("meetings", "slope", "value", "point")
     if table is None:
         return []
+
     keys, x = {key: "value"}, "slope"
     if "other_value" in table:
         x = "other_value"

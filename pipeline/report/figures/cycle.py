@@ -62,6 +62,7 @@ def traced_steps(source: Source) -> Iterator[TracedStep]:
     table = source.table("trace", "gait", "slope", "time", "theta_st", "theta_th")
     if table is None:
         return
+
     known = table.dropna(subset=["time", "theta_st", "theta_th"])
     steps = [
         rows
@@ -76,6 +77,7 @@ def traced_steps(source: Source) -> Iterator[TracedStep]:
         frame = frame.sort_values("time", kind="stable").reset_index(drop=True)
         if body is None or len(frame) < 2:
             continue
+
         shank = frame.get("theta_sh", frame["theta_th"])
         frame = frame.assign(
             time=frame["time"] - frame["time"].iloc[0],
@@ -92,6 +94,7 @@ def angles(source: Source) -> Sketch | None:
     steps = _one_per_walker(list(traced_steps(source)))
     if not steps:
         return None
+
     several = len(steps) > 1
     sketch = Sketch(
         "angles",
@@ -110,6 +113,7 @@ def angles(source: Source) -> Sketch | None:
         )
         top.set_xlabel(with_unit("time", source.units("period")))
         _draw_strobe(below, step)
+
     listing = "; ".join(
         f"the {s.gait} gait of walker {s.label} at γ = {plain(s.slope)} rad"
         for s in steps
@@ -125,6 +129,7 @@ def _draw_angles(sketch: Sketch, axes: Axes, step: TracedStep) -> None:
     for link in _links(step):
         _draw_link(sketch, axes, step, link)
         drawn.append(link.data)
+
     data = pd.concat(drawn, ignore_index=True)
     data = data.assign(walker=step.label, gait=step.gait, slope=step.slope)
     sketch.pieces.append(data)
@@ -133,6 +138,7 @@ def _draw_angles(sketch: Sketch, axes: Axes, step: TracedStep) -> None:
     if step.kneestrike is not None:
         for begin in (0.0, step.period):
             _draw_impact(axes, step, data, "kneestrike", begin + step.kneestrike)
+
     axes.set_xlim(0, 2 * step.period)
 
 
@@ -179,6 +185,7 @@ def _draw_link(sketch: Sketch, axes: Axes, step: TracedStep, link: _Link) -> Non
     axes.plot(time, angle, color=ink, lw=width, ls=dashes)
     if not is_heavy:
         return
+
     rows = link.data[["time", "angle"]].assign(slope=step.slope)
     sketch.mark(
         axes,
@@ -207,6 +214,7 @@ def _draw_impact(
     if is_below:
         place, beside = (at, 0.01), (-2, 0)
         how = {"ha": "right", "va": "bottom"}
+
     how |= {"xycoords": axes.get_xaxis_transform(), "rotation": 90, "fontsize": 8}
     write_at(axes, word, place, beside, **how)
 
@@ -250,6 +258,7 @@ def _draw_strobe(axes: Axes, step: TracedStep) -> None:
             draw_pose(
                 axes, body, hip, angles, *(legs if number == 0 else legs[::-1]), 2.6
             )
+
     axes.set_xlim(*edges)
     axes.set_ylim(-0.06 * height, 1.08 * height)
     axes.set_aspect("equal")

@@ -77,6 +77,7 @@ def design(source: Source, table: pd.DataFrame) -> Sketch | None:
     varied = [c for c in columns if c != "walker" and table[c].nunique() > 1]
     if len(varied) < 2:
         return None
+
     down, along = varied[:2]
     data = _maps(table, columns, down, along)
     count = len(data.rows)
@@ -84,6 +85,7 @@ def design(source: Source, table: pd.DataFrame) -> Sketch | None:
     sketch = Sketch("design", 100 + 150 * count, *shape, sharex=True, sharey=True)
     marked = [_draw_row(sketch, source, data, k) for k in range(count)]
     _add_titles(sketch, _symbol(source, along))
+
     return sketch.finish(
         table[[*columns, *(c for c in _DATA if c in table)]],
         down=down,
@@ -148,6 +150,7 @@ def _add_cells(
     columns = _gait_columns(part, column)
     if not columns:
         return
+
     grids = {
         name: part.pivot(index=data.down, columns=data.along, values=own)
         for name, own in columns.items()
@@ -177,6 +180,7 @@ def _best(source: Source, table: pd.DataFrame, keys: Sequence[str]) -> str:
         values = table[column].dropna()
         if values.empty:
             continue
+
         is_least = mapped.slope == "smallest_slope"
         best = table.loc[values.idxmin() if is_least else values.idxmax()]
         at = {name: best[name] for name in source.line_columns(table)}
@@ -187,6 +191,7 @@ def _best(source: Source, table: pd.DataFrame, keys: Sequence[str]) -> str:
         if borders:
             where += ": on the map's border"
         parts.append(f"{mapped.title}: {plain(best[column])} ({where})")
+
     text = ". ".join(part[0].upper() + part[1:] for part in parts)
     return text or "No design walks"
 
@@ -229,6 +234,7 @@ def _fits(curve: np.ndarray, z: pd.DataFrame) -> bool:
     )
     spans = np.ptp(sides, axis=1)
     distance = np.abs(curve[len(curve) // 2] - sides.T).min(axis=0) / spans
+
     return bool(
         (np.ptp(curve, axis=0) / spans).max() > _LABELLED
         and distance.min() > 0.25 * _LABELLED
@@ -280,6 +286,7 @@ def _mark_walkers(
                     clip_on=False,
                     zorder=5,
                 )
+
     axes.set_xlim(*limits[0])
     axes.set_ylim(*limits[1])
     return is_marked
@@ -296,6 +303,7 @@ def _gait_columns(table: pd.DataFrame, column: str) -> dict[str, str]:
         if f"{name}{mapped.ending}" in table
     }
     speed = {} if column == mapped.slope else {"froude_speed": column}
+
     return (
         {**states, "slope": mapped.slope, **speed}
         if set(START[1:4]) <= set(states)

@@ -73,6 +73,7 @@ class Quantity:
         """
         if self.abscissa == "froude_speed":
             return frame["froude_speed"] * np.sin(frame["slope"])
+
         first, *others = (
             frame[name].fillna(0.0) if "knee" in name else frame[name]
             for name in self.reads
@@ -112,6 +113,7 @@ def quantity(name: str, source: Source) -> Sketch | None:
     if shown.origin:
         axes.set_xlim(left=0)
         axes.set_ylim(bottom=0)
+
     if 1 < len(lines) <= MOST_COLOURS:
         _label_lines(axes, data, drawn, shown)
     for at, words in shown.guides.items():
@@ -133,6 +135,7 @@ def _shown(name: str, source: Source) -> Quantity:
             reads=("froude_speed",),
             abscissa="froude_speed",
         )
+
     return shown
 
 
@@ -145,6 +148,7 @@ def _words(
     names = ", ".join(drawn.names)
     if len(drawn.names) > 6:
         names = f"{len(drawn.names)} lines from {drawn.names[0]} to {drawn.names[-1]}"
+
     return {
         "heading": shown.heading,
         "names": names,
@@ -191,6 +195,7 @@ def measurements(source: Source) -> Sketch | None:
     variables = [name for name in measured.variables(source) if name in known]
     if not variables or "slope" not in rows:
         return None
+
     sketch = Sketch("measured", 60 + 250 * len(variables), len(variables), sharex=True)
     drawn = _Lines.of(lines)
     for axes, name in zip(sketch.panels, variables, strict=True):
@@ -205,8 +210,10 @@ def measurements(source: Source) -> Sketch | None:
             y=name,
         )
         set_heading(axes, titled(name, source.units(name)))
+
     sketch.gait_keys()
     sketch.line_keys(drawn.names, drawn.inks)
+
     return sketch.finish(
         lines=drawn.names,
         inks=drawn.inks,
@@ -221,7 +228,9 @@ def _worst_residuals(source: Source) -> str:
     left = measured.residuals(source)
     if left.empty:
         return ""
+
     largest = left["residual"].abs().groupby(left["variable"], sort=False).max()
+
     return "; the largest ".join(
         f"residual of {name} is {plain(value, 3)}"
         for name, value in largest.dropna().items()
@@ -326,6 +335,7 @@ def _label_lines(
         for _, rows in own.groupby("gait" if side == "left" else "line", sort=False):
             last = rows[x].idxmin() if side == "left" else rows[x].idxmax()
             ends.append(End(rows.loc[last, x], rows.loc[last, y], name, ink))
+
     end_labels(axes, ends, side)
 
 
@@ -337,6 +347,7 @@ def _draw_laws(
     if crossings:
         _draw_crossings(axes, crossings)
         sketch.key("fitted on either side of the transition", INK, lw=0.6)
+
     # Lines fitted on either side lie on these, and tell more.
     fitted = not crossings and _draw_power_laws(source, axes, drawn.lines)
     if fitted:
@@ -380,6 +391,7 @@ def _crossings(source: Source, drawn: _Lines) -> list[_Crossing]:
     table = source.table("fits/transition", *fields)
     if table is None:
         return []
+
     found = []
     for line, name in zip(drawn.lines, drawn.short, strict=True):
         ratio = {"foot_mass_ratio": line.at.get("foot_mass_ratio", np.nan)}
@@ -395,6 +407,7 @@ def _crossings(source: Source, drawn: _Lines) -> list[_Crossing]:
                     row.fitted_cube_root,
                 )
             )
+
     return sorted(found, key=lambda crossing: crossing.slope)
 
 
@@ -410,6 +423,7 @@ def _draw_crossings(axes: Axes, crossings: Sequence[_Crossing]) -> None:
         axes.plot(below, one.amplitude * below**one.exponent, **thin_ink)
         axes.plot(above, one.cube_root * above ** (1 / 3), **thin_ink)
         axes.plot([one.slope], [one.angle], "o", color=INK, mfc=PAPER, ms=5, zorder=6)
+
     axes.set_xlim(right=right)
 
     _name_crossing(axes, crossings[0], (-3, 9), {"ha": "right", "va": "bottom"})
@@ -440,6 +454,7 @@ def _words_of_crossings(source: Source, crossings: Sequence[_Crossing]) -> str:
     """Where the fitted lines cross, and the ratio of these slopes."""
     if not crossings:
         return ""
+
     slopes = [f"{plain(one.slope, 3)} ({one.name})" for one in crossings[::-1]]
     sentence = f"They cross at {' and '.join(slopes)}"
     ratio = source.table("fits/transition_ratio", "fitted_lines", "predicted")
@@ -448,6 +463,7 @@ def _words_of_crossings(source: Source, crossings: Sequence[_Crossing]) -> str:
             plain(ratio[name].iloc[0], 3) for name in ("fitted_lines", "predicted")
         )
         sentence += f", ratio {fitted}; the 3/2 law gives {predicted}"
+
     return f"{sentence}."
 
 
@@ -456,6 +472,7 @@ def _scaling_laws(source: Source, line: Line, gait: str) -> pd.DataFrame:
     table = source.table("fits/scaling", "quantity", "gait", "exponent", "amplitude")
     if table is None:
         return pd.DataFrame()
+
     table = table.rename(columns={"from": "slope_from", "to": "slope_to"})
     keep = (table["quantity"] == "stance_angle") & (table["gait"] == gait)
     table = table[
@@ -488,6 +505,7 @@ def _draw_power_laws(source: Source, axes: Axes, lines: Sequence[Line]) -> bool:
                 (p, q), (a, b) = rows["exponent"], rows["amplitude"]
                 cross = (b / a) ** (1 / (p - q))
                 ends = [[min(lo, cross), max(hi, cross)] for lo, hi in ends]
+
             for row, (low, high) in zip(rows.itertuples(), ends, strict=True):
                 slopes = np.array([low, high])
                 axes.plot(
@@ -499,6 +517,7 @@ def _draw_power_laws(source: Source, axes: Axes, lines: Sequence[Line]) -> bool:
                     zorder=2.1,
                 )
                 drawn = True
+
     return drawn
 
 
@@ -506,6 +525,7 @@ def residuals(source: Source) -> Sketch | None:
     """Plot the relative residuals of the fitted power laws, each over its fitted range."""
     if "stance_angle" not in source.grid:
         return None
+
     sketch = Sketch("residuals", 210)
     (axes,) = sketch.panels
     drawn = _Lines.of(source.lines)
@@ -516,6 +536,7 @@ def residuals(source: Source) -> Sketch | None:
             name = f"{drawn.names[k]} · {regime} slopes"
             how = _Drawn(line, k, name, drawn.inks[k], tips, shown)
             _draw_curve(sketch, axes, part, gait, how)
+
     if not sketch.pieces:
         return None
 
@@ -539,6 +560,7 @@ def _residuals_of(
             places = [c for c in ("branch", "piece") if hasattr(row, c)]
             if any(getattr(row, c) != piece[c].iloc[0] for c in places):
                 continue
+
             is_fitted = (piece["gait"] == gait) & piece["slope"].between(
                 row.slope_from, row.slope_to
             )

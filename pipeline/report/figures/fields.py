@@ -46,6 +46,7 @@ def words(values: np.ndarray) -> dict[str, Any]:
     runs = [
         (known.index(word), len(list(run))) for word, run in itertools.groupby(flat)
     ]
+
     return {
         "text": "".join(_digits(word) + _digits(length - 1) for word, length in runs),
         "words": known,
@@ -65,6 +66,7 @@ def fitting(
         }
         if sum(len(field["text"]) for field in fields.values()) <= room:
             return fields
+
     return {}
 
 
@@ -80,6 +82,7 @@ def _residuals(exact: np.ndarray) -> np.ndarray:
     while step >= 1:
         _hold_finer(held, step)
         step //= 2
+
     return np.concatenate(held.residuals).astype(np.int64)
 
 
@@ -103,6 +106,7 @@ def _hold_finer(held: "_Held", step: int) -> None:
         rows = slice(0, m, 2 * step)
         known = [held.values[rows, a] for a in range(0, n, 2 * step)]
         held.settle((rows, j), _predict(known, j, step), error)
+
     for i in range(step, m, 2 * step):
         columns = slice(0, n, step)
         known = [held.values[a, columns] for a in range(0, m, 2 * step)]
@@ -155,6 +159,7 @@ def _weights(count: int, x: int, s: int) -> list[tuple[int, float]]:
             if other != k:
                 weight *= (x - apart * other) / (apart * k - apart * other)
         weights.append((k, weight))
+
     return weights
 
 
@@ -173,6 +178,7 @@ def _packed(residuals: np.ndarray) -> str:
             parts.append("0" + _digits(before - 1))
         if value is not None:
             parts.append(_digits(value))
+
     return "".join(parts)
 
 

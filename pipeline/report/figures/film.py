@@ -64,6 +64,7 @@ def poses(motion: xr.Dataset, body: Body, moments: np.ndarray) -> list[Pose]:
         found.append(pose)
         if pose.hip.imag <= 0:  # what falls lies on the ground
             break
+
     return found
 
 
@@ -177,6 +178,7 @@ def _marked(ending: str) -> dict[str, Any]:
         text = PngInfo()
         text.add_text("Software", MARK)
         return {"pnginfo": text}
+
     exif = Image.Exif()
     exif[ExifTags.Base.Software] = MARK
     return {"quality": 90, "exif": exif}
@@ -219,4 +221,5 @@ def strip(body: Body, shown: list[Pose], slope: float, ending: str) -> bytes:
             draw(axes, body, pose, slope, scale=0.45)
         about = _ABOUT_STRIPS[ending]
         figure.savefig(stream, format=ending[1:], dpi=300, metadata=about)
+
     return stream.getvalue()

@@ -114,6 +114,7 @@ def draw_at_angles(sketch: Sketch, axes: Axes, source: Source) -> pd.DataFrame:
             mew=2,
             zorder=6,
         )
+
     words = [
         (as_printed(row.printed, row.half_unit), (row.printed, row.stance_angle))
         for row in table.itertuples()
@@ -131,6 +132,7 @@ def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> None:
     if len(table):
         low, high = axes.get_ylim()
         axes.set_ylim(low - 0.22 * (high - low), high)
+
     for row in table.sort_values("slope").itertuples():
         axes.axvspan(
             row.slope_low, row.slope_high, color=PRINTED, alpha=0.12, lw=0, zorder=0.5
@@ -190,10 +192,12 @@ def sentence(table: pd.DataFrame) -> str:
                 else "with the parameters as printed"
             )
             interval = f", {plain(ends[0], 3)}–{plain(ends[1], 3)} {kept}"
+
         printed = as_printed(row.printed, row.half_unit)
         parts.append(
             f"{row.landmark}: printed {printed}, computed {plain(row.slope, 5)}{interval}"
         )
+
     head = (
         "printed slopes, and the interval that rounding allows"
         if has_rounding(table)

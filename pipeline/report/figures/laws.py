@@ -48,6 +48,7 @@ def exponents(source: Source, table: pd.DataFrame) -> Sketch:
         _draw_exponents(sketch, axes, of, data[data["of"] == of])
         names = [f"{row.walker} {row.gait}" for row in rows.itertuples()]
         axes.set_yticks(rows["row"].tolist(), names)
+
     for when, marker in _RANGES.items():
         fill = PAPER if when == "small" else INK
         sketch.dot_key(f"{when} slopes", marker=marker, mfc=fill)
@@ -77,6 +78,7 @@ def _exponents(table: pd.DataFrame) -> pd.DataFrame:
                         "row": -number,
                     }
                 )
+
     return pd.DataFrame(found)
 
 
@@ -97,6 +99,7 @@ def _draw_exponents(sketch: Sketch, axes: Axes, of: str, data: pd.DataFrame) -> 
             fill = PAPER if one.slopes == "small" else ink
             marker = _RANGES[one.slopes]
             axes.plot([one.exponent], [one.row], marker, color=ink, mfc=fill, ms=6)
+
         tips = {"exponent": f"p of {rows['law'].iloc[0]}", "slopes": "slopes"}
         sketch.mark(
             axes, rows, f"{walker}, {gait} step", tips=tips, x="exponent", y="row"
@@ -123,6 +126,7 @@ def transition_ladder(source: Source, table: pd.DataFrame) -> Sketch | None:
     table = table[table["foot_mass_ratio"] > 0]
     if not np.isfinite(table["slope_transition"]).any():
         return None
+
     sketch = _ladder(has_exponents=bool(_columns(table, "local_exponent")))
     ratio = table["foot_mass_ratio"]
     top = sketch.panels[0]
@@ -132,12 +136,14 @@ def transition_ladder(source: Source, table: pd.DataFrame) -> Sketch | None:
     if "asymptotic" in table:
         formula = table["asymptotic"]
         top.plot(ratio, formula, color=MUTED, lw=0.9, label="asymptotic formula")
+
     top.legend(loc="upper left")
 
     lightest = ""
     if "local_exponent" in table and table["local_exponent"].notna().any():
         first = plain(table["local_exponent"].dropna().iloc[0])
         lightest = f" The local exponent is {first} at the lightest feet."
+
     return sketch.finish(table, low=ratio.min(), high=ratio.max(), lightest=lightest)
 
 

@@ -144,8 +144,10 @@ def _maps(source: Source) -> _Maps | None:
     parts = _parts(source, table, variable, rows)
     if not parts:
         return None
+
     down, along = wide
     drawn, omitted = [*parts][:2], [*parts][2:]
+
     return _Maps(
         variable, down, along, columns, states, rows, names, more, drawn, omitted, parts
     )
@@ -243,6 +245,7 @@ def draw_map(axes: Axes, values: pd.DataFrame, every: pd.Series) -> Any:
     sides = _edges(x, axes.get_xscale()), _edges(y, axes.get_yscale())
     low, high = (every.min(), every.max()) if every.notna().any() else (0.0, 1.0)
     hatch(axes)
+
     return axes.pcolormesh(
         *sides,
         values.to_numpy(float),
@@ -329,6 +332,7 @@ def basin(source: Source, table: pd.DataFrame) -> Sketch | None:
     plane = _plane(source, table)
     if len(plane) < 2:
         return None
+
     data = _outcomes_over(source, table.astype({"outcome": str}), plane)
     start = _motion(source, data.shown)
     sketch = Sketch("basin", 330 if data.window else 380, 1, 1 + bool(data.window))
@@ -343,6 +347,7 @@ def basin(source: Source, table: pd.DataFrame) -> Sketch | None:
         upward = upward.replace(f" {SYMBOLS['stance_rate']}", "")
     set_heading(sketch.panels[0], upward)
     sketch.maps = _cells_of_basin(sketch, data, start)
+
     return sketch.finish(
         table,
         x=_column(table, plane[0]),
@@ -408,6 +413,7 @@ def _draw_basin(sketch: Sketch, data: _Basin) -> None:
             marker, fill = ("o", INK) if row.gait in data.inks else ("X", "#ffffff")
             place = (getattr(row, c) for c in plane)
             axes.plot(*place, marker, color=INK, mfc=fill, ms=6, mew=1, zorder=5)
+
         across, upward = (data.manifold[name].to_numpy() for name in plane)
         _draw_dots(axes, across, upward, width)
         axes.grid(False)
@@ -417,6 +423,7 @@ def _enlarge(sketch: Sketch, data: _Basin) -> None:
     """Enlarge a window in the second panel, and frame it in the first."""
     if not data.window:
         return
+
     whole, part = sketch.panels
     (left, right), (low, high) = data.window
     part.set_xlim(left, right)
@@ -454,6 +461,7 @@ def _cells_of_basin(sketch: Sketch, data: _Basin, start: dict[str, Any]) -> list
         apart = np.abs(walks - np.median(walks, axis=0)).sum(axis=1)
         row, column = walks[apart.argmin()]
         called["first"] = [int(column), int(row)]
+
     words = {"outcome": fields.words(outcomes)}
     every = {"free": True, **start, **called, "fields": words}
     return [Panel(axes, grid, every) for axes in sketch.panels]
@@ -466,10 +474,12 @@ def _areas(source: Source, data: _Basin) -> dict[str, str]:
     table = source.table("areas", "outcome", "area", "standard_error")
     if table is None:
         return {}
+
     edge = np.zeros(len(data.shown), bool)
     for name in data.plane:
         values = data.shown[name]
         edge |= values.isin([values.min(), values.max()]).to_numpy()
+
     reaching = set(data.shown["outcome"][edge])
 
     rows = rows_at(table, data.first)
@@ -492,8 +502,10 @@ def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
     if source.along in row and source.along != "slope":
         at[source.along] = float(row[source.along])
         at.pop("slope", None)
+
     if not (keys := parameters(source, at)) or "slope" not in row:
         return {}
+
     start: dict[str, Any] = {
         "slope": float(row["slope"]),
         "ink": VARIABLES[WALKERS.get(str(at["walker"]), LINE)],
@@ -518,6 +530,7 @@ def _draw_outcomes(
             table[plane[0]], table[plane[1]], s=4, lw=0, c=colours, rasterized=raster
         )
         return
+
     z = table.assign(which=which).pivot(
         index=plane[1], columns=plane[0], values="which"
     )

@@ -60,6 +60,7 @@ def draw(
     rows = rows_at(table(source), at or {}, _SAME)
     if variable not in rows or along not in rows or not rows[variable].notna().any():
         return
+
     errors = {"xerr": f"{along}_error", "yerr": f"{variable}_error"}
     bars = {key: rows[name].fillna(0.0) for key, name in errors.items() if name in rows}
     axes.errorbar(rows[along], rows[variable], **bars, **_MARK)
@@ -106,6 +107,7 @@ def _compared(source: Source, variable: str, units: Mapping[str, str]) -> pd.Dat
     places = dict.fromkeys(("walker", *source.axes, "slope"))
     named = with_unit(spaced(variable), print_units(units.get(variable, "")))
     words = pd.Series("", known.index)
+
     return known[[place for place in places if place in known]].assign(
         gait=gaits.get("gait", words),
         variable=named,

@@ -68,6 +68,7 @@ def optimum(source: Source, table: pd.DataFrame, paths: pd.DataFrame) -> Sketch 
         ink = colour(number) if len(lines) > 1 else INK
         _draw_optima(sketch, line, number, ink, place, asked)
         _mark_optima(sketch, source, line, place, asked)
+
     return sketch.finish(table, **_values(table, place, asked))
 
 
@@ -78,6 +79,7 @@ def _values(
     values = table[asked.objective]
     best = values.max() if asked.is_largest else values.min()
     x, y = (_heading(table, name) for name in place)
+
     return {
         "xlabel": x,
         "ylabel": y,

@@ -31,6 +31,7 @@ def over_key(source: Source) -> Sketch | None:
 
     if key is None:
         return None
+
     sketch = Sketch("over_key", 350)
     (axes,) = sketch.panels
     lines = list(itertools.islice(_lines(source, key), MOST_COLOURS))
@@ -42,6 +43,7 @@ def over_key(source: Source) -> Sketch | None:
             known = curve[curve["stance_angle"].notna()]
             if known.empty:
                 continue
+
             whole = parts(curve)
             draw_gait(
                 axes,
@@ -56,6 +58,7 @@ def over_key(source: Source) -> Sketch | None:
             sketch.pieces.append(
                 known.drop(columns=_UNTOLD, errors="ignore").assign(line=name)
             )
+
     if not sketch.pieces:
         return None
 
@@ -87,6 +90,7 @@ def _longest_key(source: Source) -> str | None:
 
     if not {"stance_angle", "spectral_radius"} <= set(grid.variables):
         return None
+
     keys = [axis for axis in source.axes if axis not in ("slope", "walker")]
     lengths = {axis: grid.sizes[axis] for axis in keys if grid.sizes[axis] > 1}
 

@@ -47,6 +47,7 @@ def parameters(source: Source) -> Sketch | None:
     known = [item for item in found if item[2] is not None]
     if not known:
         return None
+
     first = max(known, key=lambda item: bool(item[1].get("knees")))
     name, table, body = first
     assert body is not None
@@ -83,6 +84,7 @@ def _draw_leg(axes: Axes, body: Body, table: Mapping[str, Any]) -> list[_Place]:
         bottom = foot - 1j * body.radius
         _draw_line(axes, foot, bottom, color=SECOND, lw=1)
         places.append(_Place("R", (foot + bottom) / 2))
+
     if body.eps_T:
         places.append(_draw_angle(axes, body, hip, knee))
 
@@ -142,6 +144,7 @@ def _draw_mass(
         ring: Any = {"fill": False, "color": MUTED, "lw": 0.8, "ls": (0, (2, 2))}
         axes.add_patch(Circle((centre.real, centre.imag), gyration, **ring))
         places.append(_Place(f"r_{link}", centre + gyration * np.exp(0.3j)))
+
     return places
 
 

@@ -70,6 +70,7 @@ def sensitivities(source: Source) -> Sketch | None:
     """Plot by how much the tolerance of each key changes measures of gaits."""
     if not source.walkers:
         return None
+
     # Other pages load no module that knows keys.
     from gaitsweep.pipeline.study import units
 
@@ -97,6 +98,7 @@ def _told(
     tolerances = each[str(greatest["walker"])]
     measures = _words(data["measure"].unique().tolist())
     headings = dict(zip(("first", "second", "third"), measures, strict=False))
+
     return {
         **headings,
         "most": greatest["key"],
@@ -200,6 +202,7 @@ def _draw(
     """Draw the changes of one measure."""
     if data.empty:
         return
+
     axes.set_xscale("log")
     axes.hlines(data["row"], data["least"], data["largest"], color=ink, lw=1)
     axes.plot(data["median"], data["row"], "o", color=ink, mfc=face, ms=4.5)

@@ -46,11 +46,13 @@ def census(source: Source, table: pd.DataFrame, coverage: pd.DataFrame) -> Sketc
         if k < len(MARKERS):
             name = line.label or source.walker
             sketch.key(shorten(name), ink, marker=marker, ms=5)
+
     sketch.panels[1].set_ylim(bottom=0)
     sketch.dot_key("legs pass more than once", mfc=PAPER, ms=5)
 
     most = int(coverage["anthropomorphic"].max())
     worst = float(reached["unseen"].max()) if len(reached) else 1.0
+
     return sketch.finish(
         table,
         abscissa=source.along,
@@ -121,6 +123,7 @@ def cascade(source: Source, table: pd.DataFrame) -> Sketch | None:
     for k, (one, ink) in enumerate(zip(families, colours, strict=True)):
         marker = MARKERS[k % len(MARKERS)]
         _draw_family(sketch, source, axes, one, ink, marker)
+
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     sketch.key(f"Feigenbaum's ratio {FEIGENBAUM:.4f}", MUTED, lw=1, ls=DOTTED)
 
@@ -142,6 +145,7 @@ def _families(source: Source, table: pd.DataFrame) -> Iterator[_Family]:
             values = events[source.along].to_numpy()
             if len(values) < 3:
                 continue
+
             data = events.iloc[:-1].assign(
                 number=np.arange(1, len(values)),
                 flip=values[:-1],

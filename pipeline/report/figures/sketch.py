@@ -176,6 +176,7 @@ class Sketch:
                 handles=self.legend, loc="outside upper left", ncols=columns
             )
             drawn.set_gid("told")
+
         told |= {
             *(str(key.get_label()) for key in self.legend),
             *(shorten(name) for name, _ in self.lines),
@@ -190,6 +191,7 @@ class Sketch:
             for part in ("caption", "finding")
         )
         caption, finding = (sentences(part, self.values).strip() for part in parts)
+
         return (
             fill(words["title"], self.values),
             caption,
@@ -206,6 +208,7 @@ def _known(data: pd.DataFrame, values: Mapping[str, Any], along: str) -> dict[st
     }
     if along not in data:
         return known
+
     known |= {"low": data[along].min(), "high": data[along].max()}
     stable = data[data["stable"] == 1][along] if "stable" in data else data[along][:0]
     if len(stable):

@@ -72,6 +72,7 @@ def volume(source: Source) -> dict[str, Any]:
     shown = _shown(source, axes)
     if not axes or not shown:
         return {}
+
     sizes = source.grid.sizes
     # A large grid is read at every n-th slope.
     whole = {**sizes, **source.outcomes.sizes}
@@ -81,6 +82,7 @@ def volume(source: Source) -> dict[str, Any]:
     encoded = _encoded(_quantities(grid, source, axes, shown))
     if not encoded:
         return {}
+
     return {
         "axes": [
             {
@@ -162,6 +164,7 @@ def _quantities(
             if angle is not None and source.steps == 1:
                 yield name, _Quantity(own / angle, _RATE, False)
             continue
+
         finite = own[np.isfinite(own)]
         log = bool((finite > 0).all())
         size = 1.0 if log else float(np.abs(finite).max(initial=1e-9))
@@ -192,8 +195,10 @@ def _encoded(quantities: Iterator[tuple[str, _Quantity]]) -> dict[str, Any]:
             found[name] = {"step": step * coarser, "log": log, "texts": texts}
             found[name] |= own_mask.get(name, {})
             characters += sum(map(len, texts))
+
         if characters <= _ROOM:
             return {**found, "present": fields.words(has_gait)}
+
     return {}
 
 
@@ -219,6 +224,7 @@ def _line(
                 column = column.isel(walker=list(source.walkers).index(walker))
             held = column.squeeze(drop=True).transpose(*across).values
             moved[key] = [across, rounded(np.ravel(held), 10)]
+
     return {
         "at": at,
         "keys": parameters(source, at),

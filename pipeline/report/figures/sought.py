@@ -36,6 +36,7 @@ def sought(source: Source) -> Sketch | None:
     asked = _asked(source)
     if asked is None:
         return None
+
     sketch, shown = _panels(source, asked)
     lines = list(itertools.islice(_lines(source, asked), MOST_COLOURS))
     names = [name for name, _ in lines] if len(lines) > 1 else []
@@ -48,11 +49,13 @@ def sought(source: Source) -> Sketch | None:
             if len(known):
                 known = known.assign(line=label)
                 _draw(sketch, asked, shown, known, colours[number], number)
+
     if not sketch.pieces:
         return None
 
     sketch.gait_keys()
     _set_scales(sketch, asked, shown)
+
     return sketch.finish(
         lines=names,
         inks=colours[: len(names)],
@@ -150,6 +153,7 @@ def _draw(
         draw_gait(axes, curve, gait, ink, number, measure, name)
         axes.plot(curve[measure], curve[name], "o", color=ink, ms=3.5)
         sketch.mark(axes, curve, label, tips=tips, x=measure, y=name, group=number)
+
     sketch.pieces.append(curve)
 
 
@@ -165,6 +169,7 @@ def _law(curve: pd.DataFrame, asked: _Sought) -> str:
     is_power = len(x) > 2 and (x > 0).all() and (y > 0).all()
     if not is_power:
         return f"{text}."
+
     powers = np.diff(np.log(y)) / np.diff(np.log(x))
     ends = [plain(float(power), 3) for power in powers[[0, -1]]]
     power = f"the power {ends[0]}"

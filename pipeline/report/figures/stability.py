@@ -39,8 +39,10 @@ def tests(grid: xr.Dataset) -> dict[str, xr.DataArray]:
     """The columns of `TESTS` of a grid; none if it holds no multipliers."""
     if not {"multiplier_real", "multiplier_imag"} <= set(grid.variables):
         return {}
+
     multipliers = (grid["multiplier_real"] + 1j * grid["multiplier_imag"]).fillna(0)
     is_gait = grid["spectral_radius"].notnull()
+
     return {
         name: (1 - sign * multipliers).prod("multiplier").real.where(is_gait)
         for name, sign in TESTS.items()
@@ -99,4 +101,5 @@ def _support(values: np.ndarray, k: int) -> list[int]:
         falls = bool((steps < 0).all())
         if rises or falls:
             return wide
+
     return [k, k + 1]

@@ -66,6 +66,7 @@ def parameters(source: Source, at: Mapping[str, Any]) -> dict[str, Any]:
     }
     if not needed <= set(kept):
         return {}
+
     limits = [
         float(limit) for _, limit in source.provenance.get("violation_limits", [])
     ]  # in the order of their bits
@@ -101,6 +102,7 @@ def addresses(source: Source, table: pd.DataFrame) -> list[str]:
     """
     if not {source.along, "slope", "stance_angle"} <= set(table.columns):
         return [""] * len(table)
+
     found = []
     for k in range(len(table)):
         row = table.iloc[[k]]
@@ -109,6 +111,7 @@ def addresses(source: Source, table: pd.DataFrame) -> list[str]:
             found.append(_address(at, gait))
         else:
             found.append(_address_along(source, at, gait))
+
     return found
 
 
@@ -147,6 +150,7 @@ def lines(source: Source) -> list[dict[str, Any]]:
                     **along,
                 }
             )
+
     return [*found, *_optimal_lines(source)]
 
 
@@ -158,6 +162,7 @@ def _optimal_lines(source: Source) -> list[dict[str, Any]]:
     )
     if optima is None or walkers is None:
         return []
+
     free = [key for key in source.given("options", "free") or {} if key in optima]
     lines = []
     for place in range(min(len(optima), _MAX_LINES)):
@@ -179,6 +184,7 @@ def _optimal_lines(source: Source) -> list[dict[str, Any]]:
                 "branches": [_nodes(gait, 1, keys.get("knees", False))],
             }
         )
+
     return [line for line in lines if line["keys"]]
 
 
@@ -197,6 +203,7 @@ def _chosen_lines(source: Source) -> list[tuple[Line, list[pd.DataFrame]]]:
                 by_branch = line.rows.groupby("branch", sort=False)
                 branches = [part for _, part in by_branch]
             by_line.setdefault(tuple(line.at.values()), (line, branches))
+
     return list(by_line.values())[:_MAX_LINES]
 
 
@@ -229,6 +236,7 @@ def _nodes(branch: pd.DataFrame, total: int, kneed: bool) -> list[list[float | N
     most = max(8, len(branch) * _MAX_GAITS // max(total, 1))
     columns = [c for c in START[: 5 if kneed else 4] if c in branch]
     rows = branch[columns].to_numpy(float)[spread_evenly(len(branch), most)]
+
     return (
         [rounded(row) for row in rows[np.isfinite(rows).all(axis=1)]]
         if len(columns) > 3
@@ -245,6 +253,7 @@ def _first(at: Mapping[str, Any], branches: list[pd.DataFrame]) -> str:
         every = pd.concat(branches).dropna(subset=list(START[:2]))
     if every.empty:
         return ""
+
     stable = every[every["stable"] == 1] if "stable" in every else every.iloc[:0]
     rows = (stable if len(stable) else every).sort_values("slope")
     return _address(at, rows.iloc[2 * len(rows) // 3])
@@ -259,6 +268,7 @@ def brief(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
         slope, angle = float(start["slope"]), float(start["stance_angle"])
         near = min(gaits, key=lambda gait: abs(gait[0] - slope) + abs(gait[1] - angle))
         shortened.append({**record, "branches": [[near]]})
+
     return shortened
 
 
@@ -308,6 +318,7 @@ def cells(
         across = [axis for axis in axes if axis in names]
         if across and key not in axes and key in source.grid:
             moved[key] = [across, rounded(source.moved(line, key, across), 10)]
+
     return {
         "at": line,
         "keys": keys,
@@ -350,6 +361,7 @@ def _fields(
                 * (1.0 if log else float(np.nanmax(np.abs(values), initial=1e-9))),
                 log,
             )
+
     first = next(iter(columns.values()), np.zeros((0, 0))) if angle is None else angle
     words = {"present": fields.words(np.isfinite(first))} | (
         {"still": fields.words(still)} if still.any() else {}

@@ -261,6 +261,7 @@ def write_clear(
     """
     if not words:
         return
+
     figure: Any = axes.figure
     figure.get_layout_engine().execute(figure)
     curves = _pixels_of_curves(axes)
@@ -297,6 +298,7 @@ def _free_place(
             and not ((apart >= 0) & (apart <= [width, height])).all(axis=1).any()
         ):
             break
+
     return right, up, aligned
 
 
@@ -308,11 +310,13 @@ def _pixels_of_curves(axes: Axes) -> np.ndarray:
         if line.get_linestyle() == "None":
             found.append(points)
             continue
+
         for start, end in itertools.pairwise(points):
             length = np.hypot(*(end - start))
             if np.isfinite(length):
                 steps = np.linspace(0, 1, 2 + int(min(length, 2000) / 2))
                 found.append(start + steps[:, None] * (end - start))
+
     return np.concatenate(found)
 
 
@@ -394,6 +398,7 @@ def thin(frame: pd.DataFrame, most: int = SAMPLES) -> pd.DataFrame:
         return frame
     if "border" not in frame:
         return frame.iloc[spread_evenly(len(frame), most)]
+
     is_border = frame["border"].to_numpy(bool)
     computed = np.flatnonzero(~is_border)
     chosen = computed[spread_evenly(len(computed), most)]
@@ -418,6 +423,7 @@ def choose_rows(
     names = [axis_values({key: at[key] for key in keys}) for at in rows]
     if len(every) == 2:
         return rows, names, f"Top: {names[0]}; bottom: {names[1]}."
+
     head = "Rows" if len(rows) == len(every) else f"Rows, {len(rows)} of {len(every)}"
     return rows, names, f"{head}: {'; '.join(names)}." if len(every) > 1 else ""
 
@@ -501,6 +507,7 @@ def _without_repeats(
         )
         if not is_told:
             kept.append((height, end))
+
     return [end for _, end in kept], [height for height, _ in kept]
 
 

@@ -102,6 +102,7 @@ def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
     _mark_crowded(figure)
     svg = _to_svg(figure, f"{salt}/{name}", 160)
     width, height = (float(side) for side in figure.get_size_inches() * 72)
+
     return Drawing(
         name,
         *sketch.words,
@@ -162,6 +163,7 @@ def _numbers(axis: Axis, k: int) -> list[tuple[float, Text]]:
         place = float(label.get_transform().transform(label.get_position())[k])
         if label.get_text() and low - 1 <= place <= high + 1:
             found.append((place, label))
+
     return sorted(found, key=lambda item: item[0])
 
 
@@ -185,11 +187,13 @@ def _coarsen(figure: Figure) -> None:
         line.get_path().simplify_threshold = 1.0
         if np.size(line.get_xdata()) > _MAX_DOTS and not line.get_rasterized():
             line.set_visible(False)
+
     for axes in figure.axes:
         for inset in axes.child_axes:
             inset.set_visible(False)
         axes.xaxis.set_visible(False)
         axes.yaxis.set_visible(False)
+
     for legend in [
         *figure.legends,
         *filter(None, (axes.get_legend() for axes in figure.axes)),
@@ -297,6 +301,7 @@ def _placed(
     for (x, y), own, *values in zip(pixels, asked, *columns, strict=True):
         place = [round(float(x), 1), round(float(height - y), 1)]
         placed.append([*place, own, *map(_text, values)])
+
     return placed
 
 
@@ -324,6 +329,7 @@ def _starts(mark: Marks, rows: pd.DataFrame) -> dict[str, Any]:
         or (mark.free and "stance_rate" not in names)
     ):
         return {}
+
     starts = [
         [v for v in rounded(row, 12) if v is not None]
         for row in rows[names].to_numpy(float)
@@ -342,6 +348,7 @@ def key(line: Line2D) -> tuple[str, str, str]:
         forms = _CHARACTERS.get(marker, "●○")
         is_hollow = str(line.get_markerfacecolor()) in (PAPER, "#ffffff", "none")
         return f"color:{ink}", forms[-1 if is_hollow else 0], label
+
     dashes = {"-": "solid", ":": "dotted"}.get(str(line.get_linestyle()), "dashed")
     drawn = f"border-top:{line.get_linewidth():g}px {dashes} {ink}"
     alpha = line.get_alpha()
@@ -372,6 +379,7 @@ def _panel(k: int, panels: list[Panel], height: float) -> dict[str, Any]:
         own["fields"] = {
             name: fields.get(name, repeated.get(name)) for name in own["fields"]
         }
+
     if same:
         own["same"] = same
     return frame | own
@@ -388,6 +396,7 @@ def _apart(
             own[name] = value
         else:
             places[name] = place
+
     return own, places
 
 
@@ -413,6 +422,7 @@ def _frame(axes: Axes, height: float) -> dict[str, Any]:
             "log": scale == "log",
             "title": title_of(axes, side),
         }
+
     return {
         "box": [
             round(float(v), 2)
