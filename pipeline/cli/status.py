@@ -115,7 +115,13 @@ def _write_page(
     said = {path: list(_lines(path, state)) for path, state in states.items()}
     of_runs = {path: stages(state or {}) for path, state in states.items()}
     running = [path for path, state in states.items() if state and state["running"]]
-    paths.publish_page(page, "status", drawn.text(of_runs, said, running, refresh))
+    began = {
+        path: state["began"]
+        for path, state in states.items()
+        if state and not state["over"]
+    }
+    text = drawn.text(of_runs, said, running, refresh, began)
+    paths.publish_page(page, "status", text)
 
 
 def state_of(path: Path) -> dict[str, Any] | None:

@@ -257,7 +257,8 @@ def sentence(state: dict[str, Any]) -> str:
 
 
 def last_state(log: Path) -> dict[str, Any] | None:
-    """Last state in an event log, with `over` if the run ended; None if there is none.
+    """Last state in an event log, with when its run `began` [s since 1970] and whether
+    it is `over`; None if there is none.
 
     Raises
     ------
@@ -265,6 +266,7 @@ def last_state(log: Path) -> dict[str, Any] | None:
         If the log cannot be read.
     """
     state = None
+    began = 0.0
     try:
         if not log.is_file():  # another one might be waited for
             return None
@@ -272,8 +274,10 @@ def last_state(log: Path) -> dict[str, Any] | None:
             for line in file:
                 with contextlib.suppress(ValueError, KeyError, TypeError):
                     # Thousands of other events a second may lie between two states.
-                    if '"event": "state"' in line:
-                        state = {**json.loads(line), "over": False}
+                    if '"event": "begin"' in line:
+                        began = float(json.loads(line)["time"])
+                    elif '"event": "state"' in line:
+                        state = {**json.loads(line), "began": began, "over": False}
                     elif '"event": "end"' in line and state:
                         state["over"] = True
     except OSError as error:

@@ -76,6 +76,7 @@ class ProgressPage:
         said: Mapping[Path, list[str]],
         running: Collection[Path] = (),
         refresh: int = 0,
+        began: Mapping[Path, float] | None = None,
     ) -> str:
         """Return the page.
 
@@ -90,11 +91,13 @@ class ProgressPage:
             The runs that are in flight.
         refresh : int [s]
             After which a browser loads the page again; 0 for never.
+        began : mapping [s since 1970], optional
+            When the runs that are not finished began: what is older is of another run.
         """
         room = _MAX_FIGURES
         runs = []
         for path, of_run in stages.items():
-            _, published = self._published.get(path, (0, Published()))
+            changed, published = self._published.get(path, (0, Published()))
             figures = []
             for figure in published.figures:
                 room -= len(figure.svg)
@@ -107,6 +110,7 @@ class ProgressPage:
                     "is_running": path in running,
                     "stages": [_stage(*stage) for stage in of_run],
                     "published": replace(published, figures=figures),
+                    "is_earlier": 0 < changed < 1e9 * (began or {}).get(path, 0.0),
                 }
             )
         return render_template("progress.html", runs=runs, refresh=refresh)

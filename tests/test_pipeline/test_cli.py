@@ -476,17 +476,18 @@ def test_the_last_state_is_found_however_many_events_follow(tmp_path, events):
     lines = [
         json.dumps(event) + "\n" for event in ({**state, "points": 8}, state, task)
     ]
+    begin = json.dumps({"time": 5.0, "event": "begin"}) + "\n"
     log.write_text(
-        "no event\n" + "".join(lines[:2]) + lines[2] * events + lines[2][:20]
+        "no event\n" + begin + "".join(lines[:2]) + lines[2] * events + lines[2][:20]
     )
     tracemalloc.start()
     try:
-        assert last_state(log) == {**state, "over": False}
+        assert last_state(log) == {**state, "began": 5.0, "over": False}
         assert tracemalloc.get_traced_memory()[1] < 2e6
     finally:
         tracemalloc.stop()
     log.write_text(log.read_text() + '\n{"event": "end"}\n')
-    assert last_state(log) == {**state, "over": True}
+    assert last_state(log) == {**state, "began": 5.0, "over": True}
     log.write_text("x" * 1_000_000)
     assert last_state(log) is None
 

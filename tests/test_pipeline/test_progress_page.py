@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from conftest import Toy
 from gaitsweep.pipeline.cli import status
 from gaitsweep.pipeline.companions import Companions
 from gaitsweep.pipeline.engine.locks import lock_archive
@@ -21,6 +22,14 @@ _STATE = {
                "points": {"done": 100, "todo": 400, "eta": 60.0}},
     "rate": 5.0, "eta": 60.0, "overdue": False, "memory": 1 << 20, "workers": [],
 }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    toy = Toy(tmp_path_factory.mktemp("finished"))
+    toy.write('name = "toy"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\n')
+    toy("run", "toy.toml")
+    return toy.folder / "data" / "archive" / "toy.nc"
 
 
 def test_the_page_of_a_run_tells_stages_until_it_ends_and_costs_a_hundredth(
@@ -95,6 +104,32 @@ def test_a_page_of_runs_replaces_no_file_of_others(tmp_path):
     with pytest.raises(Exception, match="not a file of gaitsweep"):
         status.keep_page([tmp_path / "toy.nc"], page)
     assert page.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("began_after", "is_over", "is_earlier"),
+    [(10.0, False, True), (-10.0, False, False), (10.0, True, False)],
+)
+def test_a_page_says_that_an_archive_is_of_an_earlier_run(
+    archive, monkeypatch, began_after, is_over, is_earlier
+):
+    """A run that is over has an archive of its results, though it may have found it
+    written.
+    """
+    monkeypatch.setattr(os, "nice", lambda by: 0)
+    begin = {"time": archive.stat().st_mtime + began_after, "event": "begin"}
+    events = [begin, _STATE, *[{"event": "end"}] * is_over]
+    lines = [json.dumps(event) for event in events]
+    Companions(archive).events.write_text("\n".join(lines) + "\n")
+
+    page = archive.with_name("runs.html")
+
+    status.keep_page([archive], page)
+
+    text = page.read_text()
+    assert ("of an earlier run" in text) is is_earlier
+    assert ("Published by an earlier run" in text) is is_earlier
+    assert ("Published until now" in text) is not is_earlier
 
 
 @pytest.mark.thorough
