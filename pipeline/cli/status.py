@@ -43,6 +43,7 @@ def run(options: argparse.Namespace) -> int:
     if records or not codes:
         nothing = "There is no record of a run in data/archive."
         kinds.show(options, records, lines or [nothing])
+
     return gravest(codes)
 
 
@@ -131,7 +132,9 @@ def state_of(path: Path) -> dict[str, Any] | None:
     last = last_state(Companions(path).events)
     if last is None:
         return None
+
     holder = locks.holder(path)
+
     return {
         **last,
         "running": holder is not None,
@@ -144,6 +147,7 @@ def _lines(path: Path, run_state: dict[str, Any] | None) -> Iterator[str]:
     if run_state is None:
         yield f"{path}: there is no record of a run."
         return
+
     try:
         yield from list(_described(path, run_state))
     except (
@@ -162,6 +166,7 @@ def _described(path: Path, run_state: dict[str, Any]) -> Iterator[str]:
         condition = "running"
         if holder:
             condition += f" as process {holder['pid']} on {holder['host']}"
+
     elapsed = duration(run_state["elapsed"])
     done = run_state["cached"] + run_state["done"]
     if condition == "finished":
@@ -176,6 +181,7 @@ def _described(path: Path, run_state: dict[str, Any]) -> Iterator[str]:
                 for w in run_state["workers"]
             )
         )
+
     if run_state["counts"]:
         yield "  " + ", ".join(
             f"{name} {n:,}" for name, n in sorted(run_state["counts"].items())

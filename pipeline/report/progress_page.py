@@ -62,12 +62,14 @@ class ProgressPage:
         """Read and draw the archives that have changed, if it is time or `at_once`."""
         if time.monotonic() < self._due and not at_once:
             return
+
         began = processor_time()
         for path in archives:
             changed = _changed(path)
             known, _ = self._published.get(path, (0, None))
             if known != changed:
                 self._published[path] = changed, _published(path)
+
         self._due = time.monotonic() + PAUSE * (processor_time() - began)
 
     def text(
@@ -103,6 +105,7 @@ class ProgressPage:
                 room -= len(figure.svg)
                 if room > 0:
                     figures.append(figure)
+
             runs.append(
                 {
                     "path": path,
@@ -113,6 +116,7 @@ class ProgressPage:
                     "is_earlier": 0 < changed < 1e9 * (began or {}).get(path, 0.0),
                 }
             )
+
         return render_template("progress.html", runs=runs, refresh=refresh)
 
 
@@ -136,6 +140,7 @@ def _published(path: Path) -> Published:
     lines = _lines(source)
     unfinished = [line for line in lines if line[1] < line[2]]
     unfinished.sort(key=lambda line: line[1] / line[2])
+
     return Published(
         statuses=html_tables.statuses(source),
         # A page that is loaded again and again makes no gait walk.
@@ -151,6 +156,7 @@ def _lines(source: Source) -> list[tuple[str, int, int]]:
     status = source.outcomes.get("status")
     if status is None or not {"gait", source.along} <= set(status.dims):
         return []
+
     across = [name for name in source.axes if name != source.along]
     reached = (status != ALL_STATUSES["not_attempted"]).any("gait")
     done = reached.sum(source.along).transpose(*across).values
@@ -164,6 +170,7 @@ def _lines(source: Source) -> list[tuple[str, int, int]]:
             at[name] = walkers[i] if name == "walker" else float(source.grid[name][i])
         label = source.label_among_lines(at) or source.name
         lines.append((label, int(done[place]), total))
+
     return lines
 
 
