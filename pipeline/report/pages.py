@@ -8,7 +8,8 @@ import hashlib
 import math
 import re
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -122,9 +123,30 @@ def write(
         If the folder cannot be written.
     """
     archives = [Path(archive) for archive in archives]
-    ready = _started(len(archives))
-    sources = [read(archive) for archive in archives]
     pictures = extra_pictures(extra)
+    with _started(len(archives)) as ready:
+        sources = [read(archive) for archive in archives]
+        _check_extra(pictures, sources)
+
+        out = Path(out)
+        out.mkdir(parents=True, exist_ok=True)
+        slugs = _slugs(sources)
+        tell(0, math.nan)
+        pages = _in_processes(sources, slugs, tell, pictures, ready)
+
+    with folder.locked(out):
+        folder.combine(_environment(), out, pages, only, bundle)
+    is_shown = len(sources) == 1 and not sources[0].only_claims
+    return out / (f"{slugs[0]}.html" if is_shown else "index.html")
+
+
+def _check_extra(pictures: Sequence[Picture], sources: Sequence[Source]) -> None:
+    """Refuse figures of the caller's own that have no page.
+
+    Raises
+    ------
+    StudyError
+    """
     if pictures and len(sources) != 1:
         raise StudyError(
             f"`extra` belongs to the page of one archive; got {len(sources)} archives."
@@ -133,16 +155,6 @@ def write(
         raise StudyError(
             f"`extra` has no page: {sources[0].name} only feeds the ledger."
         )
-
-    out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)
-    slugs = _slugs(sources)
-    tell(0, math.nan)
-    pages = _in_processes(sources, slugs, tell, pictures, ready)
-    with folder.locked(out):
-        folder.combine(_environment(), out, pages, only, bundle)
-    is_shown = len(sources) == 1 and not sources[0].only_claims
-    return out / (f"{slugs[0]}.html" if is_shown else "index.html")
 
 
 def _make(source: Source, slug: str, pictures: Sequence[Picture] = ()) -> folder.Page:
@@ -167,15 +179,24 @@ def _side_by_side(calls: Sequence[Any], processes: int) -> Iterable[Any]:
     return cast(Iterable[Any], parallel(calls))
 
 
-def _started(pages: int) -> Iterable[Any]:
+@contextlib.contextmanager
+def _started(pages: int) -> Iterator[Iterable[Any]]:
     """Start the processes that make some pages: they load their libraries while the
-    archives are read.
+    archives are read. They have done so when the context is left.
     """
     processes = _processes(pages)
-    if processes > 1:
-        with contextlib.suppress(Exception):  # pages can be made here
-            return _side_by_side([joblib.delayed(_loaded)()] * processes, processes)
-    return ()
+    ready: Iterable[Any] = ()
+    with contextlib.suppress(Exception):  # pages can be made here
+        if processes > 1:
+            loading = [joblib.delayed(_loaded)()] * processes
+            ready = _side_by_side(loading, processes)
+
+    try:
+        yield ready
+    finally:
+        # joblib warns of answers that nobody takes.
+        with contextlib.suppress(Exception):
+            deque(ready, maxlen=0)
 
 
 def _loaded() -> None:

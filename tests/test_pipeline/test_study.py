@@ -120,7 +120,8 @@ WRONG_OPTIONS = [
     (
         "branch",
         "n = 3",
-        "Unknown key `n`, known: steps, sensitivities, tuned (s.toml, options).",
+        "Unknown key `n`, known: steps, sensitivities, onsets, violation_limits, tuned "
+        "(s.toml, options).",
     ),
     (
         "orbit",
