@@ -180,13 +180,14 @@ function missing(at) {
 /** Why an address names no gait of this page: what is the nearest that the page has. */
 function whyNot({ at, slope, start, wrong }) {
   if (wrong) return `The address has no valid value for ${wrong}. It may be cut off.`;
-  const absent = missing(at), none = `No gait was found at slope ${brief(slope, 6)}.`, line = lineAt(at, slope), said = all => Object.entries(all).map(([key, value]) => `${key} = ${typeof value === "number" ? brief(value, 6) : value}`).join(", ");
+  const where = `slope ${brief(slope, 6)}`;
+  const absent = missing(at), none = `No gait was found at ${where}.`, line = lineAt(at, slope), said = all => Object.entries(all).map(([key, value]) => `${key} = ${typeof value === "number" ? brief(value, 6) : value}`).join(", ");
   if (line) {
     const slopes = line.branches.flat().map(node => node[0]), low = min(...slopes), high = max(...slopes);
     if (isNaN(slope)) return "The address has no slope.";
-    if (!leads(line.keys, slope)) return `Nothing drives this walker at slope ${brief(slope, 6)}.`;
-    if (low < high && (slope < low || slope > high)) return `At slope ${brief(slope, 6)} this line has no gait: its gaits are at slopes from ${brief(low, 5)} to ${brief(high, 5)} rad.`;
-    return start.length ? `No gait of this line is near slope ${brief(slope, 6)} and stance angle ${brief(start[0], 6)}.` : none;
+    if (!leads(line.keys, slope)) return `Nothing drives this walker at ${where}.`;
+    if (low < high && (slope < low || slope > high)) return `At ${where} this line has no gait: its gaits are at slopes from ${brief(low, 5)} to ${brief(high, 5)} rad.`;
+    return start.length ? `No gait of this line is near ${where} and stance angle ${brief(start[0], 6)}.` : none;
   }
   for (const map of gaitMaps()) for (const side of [map.x, map.y]) {
     const value = at[side.name];
