@@ -8,12 +8,11 @@ import hashlib
 import math
 import re
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import jinja2
 import joblib
@@ -124,16 +123,14 @@ def write(
     """
     archives = [Path(archive) for archive in archives]
     pictures = extra_pictures(extra)
-    with _started(len(archives)) as ready:
-        sources = [read(archive) for archive in archives]
-        _check_extra(pictures, sources)
+    sources = [read(archive) for archive in archives]
+    _check_extra(pictures, sources)
 
-        out = Path(out)
-        out.mkdir(parents=True, exist_ok=True)
-        slugs = _slugs(sources)
-        tell(0, math.nan)
-        pages = _in_processes(sources, slugs, tell, pictures, ready)
-
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    slugs = _slugs(sources)
+    tell(0, math.nan)
+    pages = _in_processes(sources, slugs, tell, pictures)
     with folder.locked(out):
         folder.combine(_environment(), out, pages, only, bundle)
     is_shown = len(sources) == 1 and not sources[0].only_claims
@@ -171,47 +168,14 @@ def _processes(pages: int) -> int:
     return min(_MAX_PROCESSES, joblib.cpu_count(), pages)
 
 
-def _side_by_side(calls: Sequence[Any], processes: int) -> Iterable[Any]:
-    """What calls return, in the order in which they end; they begin at once."""
-    parallel = joblib.Parallel(
-        processes, return_as="generator_unordered", batch_size=1, pre_dispatch="all"
-    )
-    return cast(Iterable[Any], parallel(calls))
-
-
-@contextlib.contextmanager
-def _started(pages: int) -> Iterator[Iterable[Any]]:
-    """Start the processes that make some pages: they load their libraries while the
-    archives are read. They have done so when the context is left.
-    """
-    processes = _processes(pages)
-    ready: Iterable[Any] = ()
-    with contextlib.suppress(Exception):  # pages can be made here
-        if processes > 1:
-            loading = [joblib.delayed(_loaded)()] * processes
-            ready = _side_by_side(loading, processes)
-
-    try:
-        yield ready
-    finally:
-        # joblib warns of answers that nobody takes.
-        with contextlib.suppress(Exception):
-            deque(ready, maxlen=0)
-
-
-def _loaded() -> None:
-    """Nothing, in a process that has loaded this module to do it."""
-
-
 def _in_processes(
     sources: list[Source],
     slugs: list[str],
     tell: Callable[[int, float], object],
     pictures: list[Picture],
-    ready: Iterable[Any],
 ) -> dict[str, folder.Page]:
     """What `_make` gives for each source, by slug; pages depend on no other, so every
-    core makes some, those of most work first, when they are `ready`.
+    core makes some, those of most work first.
 
     What processes do not deliver, for lack of memory or in error, is made here, where
     the error is raised.
@@ -230,10 +194,15 @@ def _in_processes(
     if processes > 1:
         first = sorted(slugs, key=lambda slug: -works[slug])
         calls = [joblib.delayed(_delivered)(called[slug], slug) for slug in first]
+        parallel = joblib.Parallel(
+            processes,
+            return_as="generator_unordered",
+            batch_size=1,
+            pre_dispatch="all",
+        )
         # Whatever happens to a process: an error of a page is raised again below.
         with contextlib.suppress(Exception):
-            list(ready)
-            for delivered in _side_by_side(calls, processes):
+            for delivered in parallel(calls):
                 take(*delivered)
 
     for slug in slugs:
