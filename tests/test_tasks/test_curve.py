@@ -341,7 +341,7 @@ def test_a_curve_begins_at_the_detuning_of_the_walkers_own_table():
     )
     assert own["curves/value"].max() == pytest.approx(0.7, abs=1e-15)
     for name, column in overridden.items():
-        assert own[name].tolist() == column.tolist(), name
+        np.testing.assert_array_equal(own[name], column, err_msg=name)
 
 
 @pytest.mark.thorough
