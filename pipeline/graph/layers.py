@@ -142,7 +142,7 @@ def line_params(
 
     along = {"along": study.drive} if study.drive else {}
     if name == "branch":
-        window = {**_window(study), "n": len(study.values_along)}
+        window = {**_ends(study.values_along), "n": len(study.values_along)}
         return {"line": line, **along, **window, **study.options}
 
     params = {"line": line, **along, "slope": study.values_along, "gaits": study.gaits}
@@ -184,11 +184,7 @@ def _charts_params(
     varied += [axis.name for axis in study.scaling]
     fixed = {key: value for key, value in line["set"].items() if key not in varied}
     leads = study.values_along[study.values_along > 0]
-    window = {
-        "slope_from": float(leads.min()),
-        "slope_to": float(leads.max()),
-        "slopes": about(len(leads)),
-    }
+    window = {**_ends(leads), "slopes": about(len(leads))}
     of_plane = {**line, "set": fixed}
     along = {"along": study.drive} if study.drive else {}
     plane = {"plane": box or study.plane.region, **along, **window}
@@ -209,8 +205,8 @@ def _without_g(line: Mapping[str, Any]) -> dict[str, Any]:
     return {**line, "set": others}
 
 
-def _window(study: Study) -> dict[str, float]:
-    values = study.values_along
+def _ends(values: np.ndarray) -> dict[str, float]:
+    """The least and the largest value along lines, as parameters of a task."""
     return {"slope_from": float(values.min()), "slope_to": float(values.max())}
 
 

@@ -97,6 +97,11 @@ class NormalForm:
 NONE = NormalForm(np.nan, np.nan)
 
 
+def has_form(kind: str) -> bool:
+    """Return whether points of a kind have a normal form."""
+    return kind in _FORMS
+
+
 # Where differences reach beyond steps there are none.
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
 def normal_form(problem: Problem, kind: str, Z: Gait, error: float) -> NormalForm:
@@ -119,7 +124,7 @@ def normal_form(problem: Problem, kind: str, Z: Gait, error: float) -> NormalFor
     the error of the point, move it is measured: in each unit all operations round anew,
     and the point is another one within its error.
     """
-    if kind not in _FORMS:
+    if not has_form(kind):
         return NONE
 
     at = _in_units(problem, Z, error)

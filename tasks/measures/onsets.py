@@ -8,7 +8,7 @@ the foot, and the rates with which a knee or a foot that is released begins to m
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -57,21 +57,39 @@ def _of_amounts(
     names: Sequence[str], walker: Walker, limits: Mapping[str, float]
 ) -> Iterator[tuple[str, Condition]]:
     """Amounts of violations that a walker has, and the conditions that they begin."""
+    limited = [*limited_amounts(names, walker, limits)]
+    taken = Measures([amount for amount, _, _ in limited])
+    for amount, limit, _ in limited:
+        if limit == 0 and amount in _BEGINS:
+            yield amount, replace(_BEGINS[amount], name=ONSET)
+            continue
+
+        scalar = over_size(taken.scalar(amount), amount)
+        yield amount, Condition(ONSET, scalar, target=limit)
+
+
+def limited_amounts(
+    names: Iterable[str], walker: Walker, limits: Mapping[str, float]
+) -> Iterator[tuple[str, float, int]]:
+    """Yield the amounts of violations that gaits of a walker have, the limit of each,
+    and on which side of it gaits are without the violation: 1 above it, -1 below.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Of violations.
+    walker : Walker
+    limits : mapping
+        Limits other than the registry's, by the names of violations.
+    """
     known = measures(walker)
-    every = [amount for name in names for amount in VIOLATIONS[name].amounts]
-    taken = Measures([amount for amount in every if amount in known])
     for name in names:
         violation = VIOLATIONS[name]
         limit = limits.get(name, violation.limit)
-        signed = -limit if violation.is_least else limit
+        signed, side = (-limit, 1) if violation.is_least else (limit, -1)
         for amount in violation.amounts:
-            if amount not in known:
-                continue
-            if limit == 0 and amount in _BEGINS:
-                yield amount, replace(_BEGINS[amount], name=ONSET)
-                continue
-            scalar = over_size(taken.scalar(amount), amount)
-            yield amount, Condition(ONSET, scalar, target=signed)
+            if amount in known:
+                yield amount, signed, side
 
 
 def over_size(scalar: Scalar, amount: str) -> Scalar:

@@ -129,7 +129,12 @@ class Sampled:
 
     @classmethod
     def of_each(cls, curve: Curve, conditions: Sequence[Condition]) -> list[Sampled]:
-        """Sample the scalars of several conditions, as `of` does that of one."""
+        """Sample the scalars of several conditions, as `of` does that of one; of none
+        nothing is evaluated.
+        """
+        if not conditions:
+            return []
+
         last = curve.nodes - 1
         place = np.linspace(0.0, last, _PARTS * last + 1)
         return [each._refined() for each in cls._at(curve, conditions, place)]

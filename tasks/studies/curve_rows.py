@@ -11,7 +11,12 @@ import numpy as np
 
 from gaitsweep.tasks.branches.curves import walks
 from gaitsweep.tasks.branches.equations import Equations
-from gaitsweep.tasks.branches.normal_forms import NormalForm, normal_form
+from gaitsweep.tasks.branches.normal_forms import (
+    NONE,
+    NormalForm,
+    has_form,
+    normal_form,
+)
 from gaitsweep.tasks.step.problem import Problem
 
 #: Columns of a normal form.
@@ -50,10 +55,12 @@ def rows(
         placed = place(X)
         error = float(placed[-1])
 
-        lane = X[:, None]
-        Z, _ = equations.split(lane)
-        problem = equations.problem_at(lane).alone(0)
-        form = normal_form(problem, kind, Z[:, 0], error)
+        form = NONE
+        if has_form(kind):
+            lane = X[:, None]
+            Z, _ = equations.split(lane)
+            problem = equations.problem_at(lane).alone(0)
+            form = normal_form(problem, kind, Z[:, 0], error)
         columns = form_columns(kind, form)
         yield (*head, *placed, *columns, is_step, reason)
 

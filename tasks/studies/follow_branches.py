@@ -88,9 +88,8 @@ def branch(
         shank_rate, period, kneestrike_time, spectral_radius, stable, gait) and
         `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate,
         shank_rate, period, error_bound, normal_form, normal_form_error, criticality), in
-        the walker's units; `along` takes the place
-        of the slope. Where these are wanted `special_sensitivities` (branch, kind, slope,
-        key, key_units, slope_by_key).
+        the walker's units; `along` takes the place of the slope. Where these are wanted
+        `special_sensitivities` (branch, kind, slope, key, key_units, slope_by_key).
     """
     problem, unit = followed_over(params, int(params.get("steps", 1)))
     begins = _begins(params, problem.walker)

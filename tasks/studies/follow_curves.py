@@ -75,8 +75,9 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         range and it has such points, else at an end of the range, the nearer first;
         `slope`, ndarray [rad], whose ends are the window; and the study's options: `key` (a
         walker key, `detuning` or `foot_mass_ratio`), `from` and `to`, its range in the
-        walker's units, or `plane`, the ranges of two keys, `kinds` of points, `levels`, measures with their values, and
-        `onsets`, names of violations, with `violation_limits`.
+        walker's units, or `plane`, the ranges of two keys, `kinds` of points, `levels`,
+        measures with their values, and `onsets`, names of violations, with
+        `violation_limits`.
     inputs : list
         The line's atlas.
 

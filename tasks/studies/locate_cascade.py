@@ -33,11 +33,7 @@ from gaitsweep.tasks.orbits.walk import Walk
 from gaitsweep.tasks.step.drive import SLOPE
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.step.sameness import (
-    SAME_GAIT,
-    SAME_POINT,
-    SOONER,
-)
+from gaitsweep.tasks.step.sameness import SAME_GAIT, SAME_POINT, SOONER
 from gaitsweep.tasks.step.several_steps import (
     distance,
     distances_of_steps,

@@ -20,7 +20,7 @@ from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.contract.registry import VARIABLES, VIOLATIONS
 from gaitsweep.tasks.measures.levels import Measures
 from gaitsweep.tasks.measures.names import measures
-from gaitsweep.tasks.measures.onsets import over_size
+from gaitsweep.tasks.measures.onsets import limited_amounts, over_size
 from gaitsweep.tasks.measures.programme import (
     STABLE,
     Constraint,
@@ -221,15 +221,11 @@ class Question:
 
     def _of_violations(self, taken: Measures, walker: Walker) -> Iterator[Constraint]:
         """What keeps the amounts of violations within their limits."""
-        known = measures(walker)
         limits = self.options["violation_limits"]
-        for violation in VIOLATIONS.values():
-            limit = limits.get(violation.name, violation.limit)
-            signed, side = (-limit, 1) if violation.is_least else (limit, -1)
-            for amount in violation.amounts:
-                if amount in self._amounts and amount in known:
-                    scalar = over_size(taken.scalar(amount), amount)
-                    yield Constraint(amount, scalar, signed, side)
+        for amount, limit, side in limited_amounts(VIOLATIONS, walker, limits):
+            if amount in self._amounts:
+                scalar = over_size(taken.scalar(amount), amount)
+                yield Constraint(amount, scalar, limit, side)
 
 
 def candidates(question: Question) -> list[Coordinates]:
