@@ -10,7 +10,13 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
-from gaitsweep.pipeline.report.figures.style import INK, PRINTED, write_at, write_clear
+from gaitsweep.pipeline.report.figures.style import (
+    INK,
+    PRINTED,
+    lay_out,
+    write_at,
+    write_clear,
+)
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import as_printed, plain
 
@@ -129,47 +135,49 @@ def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> None:
     """Mark printed slopes by lines across the panel, beside the computed ones; their
     words stand below the data.
     """
-    if len(table):
-        low, high = axes.get_ylim()
-        axes.set_ylim(low - 0.22 * (high - low), high)
+    if table.empty:
+        return
 
-    for row in table.sort_values("slope").itertuples():
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - 0.22 * (high - low), high)
+    rows = [*table.sort_values("slope").itertuples()]
+    for row in rows:
         axes.axvspan(
             row.slope_low, row.slope_high, color=PRINTED, alpha=0.12, lw=0, zorder=0.5
         )
         axes.axvline(row.printed, color=PRINTED, lw=1.4, ls=(0, (5, 2)), zorder=3)
         axes.axvline(row.slope, color=INK, lw=0.8, ls=(0, (1, 2)), zorder=3)
-        for words, at, ink, height in (
-            (
-                f"printed {as_printed(row.printed, row.half_unit)}",
-                row.printed,
-                PRINTED,
-                0.03,
-            ),
-            (f"computed {plain(row.slope, 4)}", row.slope, INK, 0.11),
-        ):
-            is_right = _stands_right(axes, words, at, at == max(row.printed, row.slope))
-            how = {
-                "ha": "left" if is_right else "right",
-                "xycoords": axes.get_xaxis_transform(),
-                "fontsize": 8,
-            }
-            write_at(
-                axes, words, (at, height), (3 if is_right else -3, 0), color=ink, **how
-            )
+
+    lay_out(axes)
+    for row in rows:
+        words = f"printed {as_printed(row.printed, row.half_unit)}"
+        is_right = row.printed >= row.slope
+        _write_at_line(axes, words, row.printed, is_right, height=0.03, color=PRINTED)
+
+        words = f"computed {plain(row.slope, 4)}"
+        is_right = row.slope >= row.printed
+        _write_at_line(axes, words, row.slope, is_right, height=0.11, color=INK)
 
 
-def _stands_right(axes: Axes, words: str, at: float, wanted: bool) -> bool:
-    """Whether words stand to the right of a line: as wanted, unless they fit only on
-    the other side.
+def _write_at_line(
+    axes: Axes, words: str, at: float, wants_right: bool, height: float, color: str
+) -> None:
+    """Write words beside a line across the panel, at a share of its height: on the side
+    wanted, unless they fit only on the other.
     """
-    figure: Any = axes.figure
-    figure.get_layout_engine().execute(figure)
     across = axes.transData.transform((at, 0.0))[0]
     width = _WIDTH_OF_A_LETTER * len(words)
     fits_right = across + width <= axes.bbox.x1
     fits_left = across - width >= axes.bbox.x0
-    return wanted if fits_right == fits_left else bool(fits_right)
+    is_right = wants_right if fits_right == fits_left else fits_right
+
+    how: Any = {
+        "ha": "left" if is_right else "right",
+        "xycoords": axes.get_xaxis_transform(),
+        "fontsize": 8,
+    }
+    away = 3 if is_right else -3
+    write_at(axes, words, (at, height), (away, 0), color=color, **how)
 
 
 def has_rounding(table: pd.DataFrame) -> bool:

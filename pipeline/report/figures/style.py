@@ -249,6 +249,12 @@ def write_at(
     )
 
 
+def lay_out(axes: Axes) -> None:
+    """Give the panels of a figure their places, from which those of words follow."""
+    figure: Any = axes.figure
+    figure.get_layout_engine().execute(figure)
+
+
 def write_clear(
     axes: Axes,
     words: Sequence[tuple[str, tuple[float, float]]],
@@ -262,8 +268,7 @@ def write_clear(
     if not words:
         return
 
-    figure: Any = axes.figure
-    figure.get_layout_engine().execute(figure)
+    lay_out(axes)
     curves = _pixels_of_curves(axes)
 
     more: Any = {"fontsize": _CLEAR_SIZE, "va": "center", "bbox": None, **how}
