@@ -214,6 +214,7 @@ def test_a_state_is_read_of_files_only(tmp_path):
     os.mkfifo(own.lock)
     assert status.state_of(own.archive) == {
         "event": "state",
+        "began": 0.0,
         "over": False,
         "running": False,
     }
@@ -226,6 +227,7 @@ def test_a_run_that_has_not_yet_said_its_name_is_seen(tmp_path):
         own.lock.write_text("")
         assert status.state_of(own.archive) == {
             "event": "state",
+            "began": 0.0,
             "over": False,
             "running": True,
         }
