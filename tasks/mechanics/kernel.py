@@ -38,9 +38,18 @@ def _register() -> int:
     return int(hy.recommended_simd_size())
 
 
-#: Numbers in a SIMD register; a processor with wide registers can do as one with
-#: narrower ones.
-LANES = int(os.environ.get("GAITSWEEP_LANES") or _register())
+def _lanes() -> int:
+    """Numbers computed at a time: a processor with wide registers can do as one with
+    narrower ones; one with narrower ones has no vectorised sine of a wide register,
+    whose digits would be others.
+    """
+    widest = _register()
+    asked = os.environ.get("GAITSWEEP_LANES")
+    return min(int(asked), widest) if asked else widest
+
+
+#: Numbers in a SIMD register.
+LANES = _lanes()
 #: Tolerance of the exact flows: order 18, whose truncation error is a fiftieth of
 #: rounding.
 _FINE = 1.75e-15

@@ -307,7 +307,8 @@ def test_multipliers_of_gaits_of_several_steps(steps, slopes):
             ]
     error, bound, size = np.array(rows).T
     assert (error <= bound).all()
-    assert np.median(bound / error) < 1000
+    # Of two gaits, one may be exact by chance.
+    assert bound.max() < 1000 * error.max()
     assert (bound / size < 1e-9).all()
 
 
