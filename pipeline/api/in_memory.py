@@ -34,7 +34,7 @@ from gaitsweep.pipeline.study import slopes, units
 from gaitsweep.pipeline.study.broadcast import broadcast
 from gaitsweep.pipeline.study.model import Axis, Definition, Study, line_of
 from gaitsweep.tasks.contract.accuracy import always, is_converted
-from gaitsweep.tasks.contract.registry import GAITS, VARIABLES
+from gaitsweep.tasks.contract.registry import DRIVES, GAITS, VARIABLES
 
 #: Atlases, charts and points of short lines kept for later calls [byte], by whether
 #: compact code has computed them: other points are cheaper to compute again.
@@ -48,8 +48,8 @@ _Found = tuple[np.ndarray, Points]
 
 
 class _Line:
-    """A line of the grid: the numbers of its points, their distinct slopes, and the
-    slope of each among these.
+    """A line of the grid along one of its arguments: the numbers of its points, their
+    distinct values, and the value of each among these.
 
     Where walkers of its points differ in their units it is the line of one of them.
     """
@@ -59,11 +59,13 @@ class _Line:
         base: Study,
         line: dict[str, Any],
         at: np.ndarray,
-        slope: np.ndarray,
+        along: np.ndarray,
         check: dict[str, Any],
+        name: str = "",
     ):
         self.line, self.at, self.check = line, at, check
-        self.slopes, self.row = np.unique(slope[at], return_inverse=True)
+        self.along = name or base.along
+        self.values, self.row = np.unique(along[at], return_inverse=True)
         self._base = base
 
     def over(
@@ -71,33 +73,32 @@ class _Line:
         line: dict[str, Any],
         check: dict[str, Any],
         at: np.ndarray,
-        slope: np.ndarray,
+        along: np.ndarray,
     ) -> "_Line":
         """Another line of the same study."""
-        return _Line(self._base, line, at, slope, check)
+        return _Line(self._base, line, at, along, check, self.along)
+
+    @property
+    def keys(self) -> dict[str, Any]:
+        """What it is a line at: values of keys, and of the slope unless that varies
+        along it.
+        """
+        slope = {"slope": self.line["slope"]} if "slope" in self.line else {}
+        return {**self.line["set"], **slope}
 
     @property
     def study(self) -> Study:
         """A study of this line alone."""
-        values = {**self.line["set"], "slope": self.line.get("slope")}
-        keys = {
-            key: np.array([value]) for key, value in values.items() if value is not None
-        }
-        return _over(self._base, self.slopes, keys, self.check)
+        keys = {key: np.array([value]) for key, value in self.keys.items()}
+        return self.study_over(keys)
 
-
-def _over(
-    base: Study,
-    slope: np.ndarray,
-    keys: Mapping[str, np.ndarray],
-    check: dict[str, Any],
-) -> Study:
-    """A study without axes, over slopes, or values of a measure, and keys."""
-    axes = (
-        Axis(base.along, slope),
-        *(Axis(name, values) for name, values in keys.items()),
-    )
-    return replace(base, axes=axes, checks=(check,))
+    def study_over(self, keys: Mapping[str, np.ndarray]) -> Study:
+        """A study of lines with the same values along them, over values of keys."""
+        axes = (
+            Axis(self.along, self.values),
+            *(Axis(name, values) for name, values in keys.items()),
+        )
+        return replace(self._base, axes=axes, checks=(self.check,))
 
 
 def gaits(
@@ -214,9 +215,13 @@ def _checked(
     slope = flat[base.along]
     is_slope = _can_be(base, slope)
     is_level = slopes.is_level(slope) & (not base.at)
-    lines: list[_Line] = []
+    lines = _along_drives(base, flat, arrays, np.flatnonzero(is_level))
     unsolvable: list[tuple[np.ndarray, StudyError]] = []
-    for line, every in _lines(base, flat, arrays):
+
+    is_left = np.ones(len(slope), bool)
+    for line_along_drive in lines:
+        is_left[line_along_drive.at] = False
+    for line, every in _along_slopes(base, flat, arrays, np.flatnonzero(is_left)):
         try:
             check = _check(base, line, slope[every[is_slope[every]]])
         except StudyError as error:
@@ -226,6 +231,49 @@ def _checked(
             lines.append(_Line(base, line, every[can_be[every]], slope, check))
 
     return lines, unsolvable
+
+
+def _along_drives(
+    base: Study,
+    flat: Arrays,
+    arrays: Mapping[str, xr.DataArray],
+    level: np.ndarray,
+) -> list[_Line]:
+    """Lines along what drives, of points on level ground or uphill of which several
+    differ in it alone, as studies have them.
+    """
+    bounds = dispatch.resolve("gaitsweep.tasks.walkers.walker:BOUNDS")
+    lines: list[_Line] = []
+    for key in DRIVES:
+        if key not in arrays or not arrays[key].ndim:
+            continue
+
+        values = flat[key]
+        can_be = (values[level] > 0) & (values[level] <= bounds[key][1])
+        for line, at in _lines(base, flat, arrays, key, level[can_be]):
+            check = _check_along(key, base, line, values[at])
+            if check:
+                lines.append(_Line(base, line, at, values, check, key))
+                level = np.setdiff1d(level, at)
+
+    return lines
+
+
+def _check_along(
+    key: str, base: Study, line: dict[str, Any], values: np.ndarray
+) -> dict[str, Any] | None:
+    """What `tasks` reports of the walker of a line along a key that drives; None where
+    its points are to be solved one by one.
+    """
+    if values.min() == values.max():
+        return None
+    driven = {**line, "set": {**line["set"], key: values.max().item()}}
+    try:
+        check = _check(base, driven, values)
+    except StudyError:  # which is told of each of its points
+        return None
+
+    return check if Study.may_be_along(key, [check]) else None
 
 
 def _refuse_if_none(
@@ -315,28 +363,49 @@ def _in_order(
     return joined(points, (len(GAITS), multipliers)).take(order)
 
 
-def _lines(
-    base: Study, flat: Arrays, arrays: Mapping[str, xr.DataArray]
+def _along_slopes(
+    base: Study,
+    flat: Arrays,
+    arrays: Mapping[str, xr.DataArray],
+    some: np.ndarray,
 ) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
-    """Every line of the grid, in the order of its first point, with its points.
+    """Every line of some points along slopes, or values of a measure.
 
     Those that differ only in a `g` that can be are one where gaits are converted.
     """
-    n = len(flat[base.along])
     (walker,) = base.walkers
-    varying = [name for name, a in arrays.items() if name != base.along and a.ndim]
-    if "g" in varying and _is_converted(base) and _is_passive(walker, flat):
+    varies = "g" in arrays and arrays["g"].ndim
+    if varies and _is_converted(base) and _is_passive(walker, flat):
         flat = {**flat, "g": _one_for_all(flat["g"])}
-    fixed = {name: a[0].item() for name, a in flat.items() if n and name != base.along}
-    number = np.zeros(n, int)
+    return _lines(base, flat, arrays, base.along, some)
+
+
+def _lines(
+    base: Study,
+    flat: Arrays,
+    arrays: Mapping[str, xr.DataArray],
+    along: str,
+    some: np.ndarray,
+) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
+    """Every line of some points along an argument, in the order of its first point, with
+    its points.
+    """
+    if not len(some):
+        return
+
+    (walker,) = base.walkers
+    others = [name for name in arrays if name != along]
+    varying = [name for name in others if arrays[name].ndim]
+    fixed = {name: flat[name][some[0]].item() for name in others}
+    number = np.zeros(len(some), int)
     if varying:
-        groups = pd.DataFrame({name: flat[name] for name in varying}).groupby(
+        groups = pd.DataFrame({name: flat[name][some] for name in varying}).groupby(
             varying, sort=False, dropna=False
         )
         number = groups.ngroup().to_numpy()
 
-    order = np.argsort(number, kind="stable")
-    for at in np.split(order, np.cumsum(np.bincount(number))[:-1]) if n else ():
+    order = some[np.argsort(number, kind="stable")]
+    for at in np.split(order, np.cumsum(np.bincount(number))[:-1]):
         own = {name: flat[name][at[0]].item() for name in varying}
         yield line_of(walker, {**fixed, **own}), at
 
@@ -531,8 +600,11 @@ def _solve_in_units(base: Study, lines: list[_Line], flat: Arrays) -> Iterator[_
     """Solve the points of lines, those that differ only in units once, and convert
     them.
     """
+    for key in DRIVES:
+        yield from _solve([one for one in lines if one.along == key])
+    lines[:] = [one for one in lines if one.along == base.along]
     if not _is_converted(base):
-        yield from _solve(base, lines)
+        yield from _solve(lines)
         return
 
     units = _Units(len(flat["slope"]))
@@ -542,7 +614,7 @@ def _solve_in_units(base: Study, lines: list[_Line], flat: Arrays) -> Iterator[_
         found = dispatch.ask("scaled", one.line)
         if not found["possible"]:
             # Nor are those of the others, which set the same keys.
-            yield from _solve(base, lines)
+            yield from _solve(lines)
             return
 
         name = repr(found["plain"])
@@ -557,7 +629,7 @@ def _solve_in_units(base: Study, lines: list[_Line], flat: Arrays) -> Iterator[_
         units.line[at] = number
         merged.append(_without_keys(own[0], plain.get(name), at, flat["slope"]))
 
-    for at, points in _solve(base, [*merged]):
+    for at, points in _solve([*merged]):
         yield at, units.convert(at, points, merged)
 
 
@@ -572,11 +644,11 @@ def _without_keys(
     return one.over(plain, dispatch.ask("check_walker", plain), at, slope)
 
 
-def _solve(base: Study, lines: list[_Line]) -> Iterator[_Found]:
+def _solve(lines: list[_Line]) -> Iterator[_Found]:
     """Solve the points of lines, as one study if they form a plane of keys, else as one
     study each.
     """
-    left = yield from _solve_plane(base, lines)
+    left = yield from _solve_plane(lines)
     _remembered().trim()
     while left:
         block = left[:_BLOCK]
@@ -588,11 +660,9 @@ def _solve(base: Study, lines: list[_Line]) -> Iterator[_Found]:
         _remembered().trim()
 
 
-def _solve_plane(
-    base: Study, lines: list[_Line]
-) -> Generator[_Found, None, list[_Line]]:
+def _solve_plane(lines: list[_Line]) -> Generator[_Found, None, list[_Line]]:
     """Solve lines that form a plane of keys; returns the lines that are left."""
-    plane = _plane(base, lines)
+    plane = _plane(lines)
     if plane is None:
         return lines
 
@@ -602,28 +672,25 @@ def _solve_plane(
     for k in range(plan.graph.grid.chunks):
         chunk = plan.graph.grid.chunk(k)
         own = [in_order[number] for number in chunk.numbers.tolist()]
-        rows = [place * len(one.slopes) + one.row for place, one in enumerate(own)]
+        rows = [place * len(one.values) + one.row for place, one in enumerate(own)]
         at = np.concatenate([one.at for one in own])
         yield at, _points(plan, chunk).take(np.concatenate(rows))
 
     return []
 
 
-def _plane(base: Study, lines: list[_Line]) -> tuple[Study, list[_Line]] | None:
+def _plane(lines: list[_Line]) -> tuple[Study, list[_Line]] | None:
     """Lines as one study over a plane of keys, and in its order; None if charts over
     keys do not predict their gaits.
     """
     if len(lines) < 2:
         return None
 
-    slope = lines[0].slopes
-    if not all(np.array_equal(one.slopes, slope) for one in lines):
+    along = lines[0].values
+    if not all(np.array_equal(one.values, along) for one in lines):
         return None
 
-    values = {
-        key: np.array([one.line["set"][key] for one in lines])
-        for key in lines[0].line["set"]
-    }
+    values = {key: np.array([one.keys[key] for one in lines]) for key in lines[0].keys}
     keys = {key: np.unique(each) for key, each in values.items()}
     if len(lines) != np.prod([len(each) for each in keys.values()]):
         return None
@@ -631,7 +698,7 @@ def _plane(base: Study, lines: list[_Line]) -> tuple[Study, list[_Line]] | None:
     # The study numbers them by the first key, then the next.
     by_number = np.lexsort([*values.values()][::-1])
     in_order = [lines[number] for number in by_number.tolist()]
-    study = _over(base, slope, keys, in_order[-1].check)
+    study = in_order[-1].study_over(keys)
     return (study, in_order) if method_of(study) is Method.PLANE else None
 
 

@@ -78,9 +78,15 @@ class Inline:
     def completed(self, timeout: float) -> Iterator[tuple[Ticket, Answer]]:
         """Compute what was submitted."""
         submitted, self._submitted = self._submitted, []
-        together = [pair for pair in submitted if pair[1].together]
-        answers = _computed_together([request for _, request in together])
-        found = dict(zip((ticket for ticket, _ in together), answers, strict=False))
+        alike: dict[str, list[tuple[Ticket, Request]]] = {}
+        for ticket, request in submitted:
+            if request.together:
+                alike.setdefault(_shared(request), []).append((ticket, request))
+
+        found: dict[Ticket, Answer] = {}
+        for some in alike.values():
+            answers = _computed_together([request for _, request in some])
+            found |= zip((ticket for ticket, _ in some), answers, strict=False)
         for ticket, request in submitted:
             yield ticket, found.get(ticket) or division.answer(request, compute)
 
@@ -97,16 +103,23 @@ def compute(request: Request, *_: str) -> tuple[str, Any]:
         return "raised", f"It raised {described(error)}."
 
 
+def _shared(request: Request) -> str:
+    """What atlases must share to be computed by one call: all but their lines."""
+    others = {name: own for name, own in request.params.items() if name != "line"}
+    return repr((request.together, sorted(others.items())))
+
+
 def _computed_together(requests: list[Request]) -> list[Answer]:
-    """Answers of atlases that are computed by one call; none if it fails: each is tried
-    by itself then.
+    """Answers of atlases that are computed by one call, those of lines alone; none if it
+    fails: each is tried by itself then.
     """
     if len(requests) < 2:
         return []
 
     lines = [request.params["line"] for request in requests]
-    is_level = all(request.params.get("level") for request in requests)
-    params = {"lines": lines, "slope": np.empty(0), "want": (), "level": is_level}
+    others = {**requests[0].params, "lines": lines}
+    del others["line"]
+    params = {**others, "slope": np.empty(0), "want": ()}
     try:
         results = dispatch.resolve(requests[0].together)(params, [])
     except Exception:

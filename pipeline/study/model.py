@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -211,11 +211,18 @@ class Study:
         """Whether the points of a grid are solved along values of a key that drives, as
         some do: not where anything reads its lines along slopes.
         """
-        if key == "hip_torque" and any(check["massless_leg"] for check in self.checks):
+        if not self.may_be_along(key, self.checks):
             return False
         reads = [read for name in self.figures for read in READS.get(name, ())]
         is_read = self.fits or self.claims or not TASKS.keys().isdisjoint(reads)
         return not (self.at or is_read) and len(np.unique(values[values > 0])) > 1
+
+    @staticmethod
+    def may_be_along(key: str, checks: Iterable[Mapping[str, Any]]) -> bool:
+        """Whether gaits of walkers may be followed over a key that drives: no torque
+        moves legs without mass.
+        """
+        return key != "hip_torque" or not any(check["massless_leg"] for check in checks)
 
     @property
     def is_driven(self) -> bool:

@@ -363,7 +363,8 @@ def _lines_along(
         walkers.append(problem.walker)
 
     atlas: list[list[Branch]] = [[] for _ in lines]
-    if not (request.slope > 0).any():
+    # Of no values their atlas alone is asked for.
+    if len(request.slope) and not (request.slope > 0).any():
         alike.clear()
     for (structure, drive, _), numbers in alike.items():
         some = Lanes([walkers[i] for i in numbers], structure, drive)

@@ -7,9 +7,11 @@ import pytest
 
 import gaitsweep
 from gaitsweep import solve
+from gaitsweep.pipeline.api import in_memory
 from gaitsweep.pipeline.cli.commands import main
 from gaitsweep.pipeline.grid.choose_method import method_of
 from gaitsweep.pipeline.grid.method import Method
+from gaitsweep.pipeline.statuses import ALL_STATUSES
 from gaitsweep.pipeline.study.parse import parse
 
 WANT = ["stance_angle", "period", "cost_of_transport"]
@@ -149,3 +151,66 @@ def test_driven_walkers_on_slopes_have_charts_as_passive_ones_have(tmp_path):
         at["push_off"] = 0.05
     found = found.expand_dims(push_off=[0.05])
     assert_holds_single_gaits(found, "B", points)
+
+
+class Asked:
+    """Lines and points that were asked of the tasks."""
+
+    def __init__(self, monkeypatch):
+        self.along = []
+        original = in_memory._solve
+
+        def solved(lines):
+            self.along += [(one.along, len(one.at)) for one in lines]
+            return original(lines)
+
+        monkeypatch.setattr(in_memory, "_solve", solved)
+
+
+def test_gaits_of_arrays_are_solved_along_what_drives(monkeypatch):
+    """On level ground and uphill; downhill along the slope, as studies have them. What
+    cannot be has its own status.
+    """
+    asked = Asked(monkeypatch)
+    slope = np.array([-0.001, 0.0, 0.01])[:, None]
+    push = np.array([0.0, 0.05, 0.2, 0.1, -1.0])
+
+    found = gaitsweep.gaits("D", slope, push_off=push)
+
+    assert sorted(asked.along) == [*[("push_off", 3)] * 2, *[("slope", 1)] * 4]
+    has_raised = found["status"] == ALL_STATUSES["raised"]
+    assert has_raised[:, 4].all()
+    assert has_raised[:2, 0].all()
+    assert not has_raised[:, 1:4].any()
+    for i in range(3):
+        for j in range(1, 4):
+            single = solve("D", slope[i, 0], push_off=push[j])
+            own = found.isel(dim_0=i, dim_1=j)
+            own = own.sel(gait=list(single["gait"]))
+            assert (own["status"] == ALL_STATUSES["converged"]).all()
+            off = np.abs(own["stance_angle"] / single["stance_angle"] - 1)
+            assert (off <= own["error_bound"].values + single["error_bound"]).all()
+
+
+def test_gaits_of_arrays_are_those_of_a_study_over_what_drives(tmp_path):
+    """But for rounding, which is that of compact code; lines of two walkers are surveyed
+    side by side.
+    """
+    want = ["stance_angle", "cost_of_transport", "sensitivities"]
+    push, m_h = [0.05, 0.1, 0.2], [0.9, 1.1]
+    stored = run(tmp_path, study("B", {"push_off": push, "m_h": m_h}, want=want))
+
+    found = gaitsweep.gaits(
+        "B", 0.0, push_off=np.array(push)[:, None], m_h=m_h, variables=want
+    )
+
+    found = found.sel(gait=stored["gait"].values)
+    for name in ("stance_angle", "cost_of_transport", "stance_angle_by_key"):
+        there = stored[name].sel(slope=0.0).transpose("push_off", "m_h", "gait", ...)
+        np.testing.assert_allclose(found[name], there, rtol=1e-9, atol=1e-9)
+
+
+def test_a_torque_between_legs_without_inertia_is_told_point_by_point(monkeypatch):
+    asked = Asked(monkeypatch)
+    gaitsweep.gaits("D", 0.0, hip_torque=np.array([0.01, 0.02]), push_off=0.1)
+    assert sorted(asked.along) == [("slope", 1)] * 2
