@@ -158,7 +158,7 @@ def gaits(
     # A list that becomes shorter while its lines are solved.
     lines = [line for line in lines if len(line.at)]
     with _question(lines):
-        found = _solve_in_units(base, lines, flat)
+        found = _solve_all(base, lines, flat)
         points = _in_order(found, unsolvable, base.variables, checks)
 
     kept = _kept(base, checks, named)
@@ -596,13 +596,19 @@ def _told_in_time(
     return numbers[which[:, None], place.reshape(reason.shape)]
 
 
+def _solve_all(base: Study, lines: list[_Line], flat: Arrays) -> Iterator[_Found]:
+    """Solve the points of lines, those along what drives first."""
+    for key in DRIVES:
+        yield from _solve([one for one in lines if one.along == key])
+
+    lines[:] = [one for one in lines if one.along == base.along]
+    yield from _solve_in_units(base, lines, flat)
+
+
 def _solve_in_units(base: Study, lines: list[_Line], flat: Arrays) -> Iterator[_Found]:
     """Solve the points of lines, those that differ only in units once, and convert
     them.
     """
-    for key in DRIVES:
-        yield from _solve([one for one in lines if one.along == key])
-    lines[:] = [one for one in lines if one.along == base.along]
     if not _is_converted(base):
         yield from _solve(lines)
         return

@@ -18,8 +18,13 @@ WANT = ["stance_angle", "period", "cost_of_transport"]
 
 
 def study(walker, axes, want=WANT, slope=(0.0,), **more):
-    about = {"name": "s", "walker": walker, "axes": {"slope": list(slope), **axes}}
-    return about | {"want": {"variables": want}} | more
+    about = {
+        "name": "s",
+        "walker": walker,
+        "axes": {"slope": list(slope), **axes},
+        "want": {"variables": want},
+    }
+    return about | more
 
 
 def checked(tmp_path, table):
@@ -36,9 +41,11 @@ def assert_holds_single_gaits(
     """At points, the keys of each, within the sum of both bounds."""
     for at in points:
         keys = {key: value for key, value in at.items() if key != "slope"}
+
         single = solve(walker, at.get("slope", 0.0), **keys)
         point = found.sel(slope=at.get("slope", 0.0), **keys)
         assert int((point["status"] == "converged").sum()) == len(single)
+
         for gait in single.set_index("gait").itertuples():
             stored = point.sel(gait=gait.Index)
             within = float(stored["error_bound"]) + gait.error_bound
@@ -57,6 +64,7 @@ def test_a_long_line_over_a_push_off_is_interpolated_within_its_bounds(tmp_path)
     """Gaits of B begin and vanish within the range."""
     pushes = {"from": 0.02, "to": 0.6, "n": 4000}
     table = study("B", {"push_off": pushes}, accuracy=1e-8)
+
     assert method_of(checked(tmp_path, table)) is Method.INTERPOLATED
 
     found = run(tmp_path, table)
@@ -69,9 +77,14 @@ def test_lines_over_a_push_off_have_what_lines_of_one_value_have(tmp_path):
     """Values of 0 among them, at which nothing drives."""
     pushes = [0.0, 0.03, 0.5]
     table = study("D", {"push_off": pushes}, slope=[-0.002, 0.0])
-    found = run(tmp_path, table)
-    points = [{"slope": s, "push_off": p} for s in (-0.002, 0.0) for p in pushes[1:]]
 
+    found = run(tmp_path, table)
+
+    points = [
+        {"slope": slope, "push_off": push}
+        for slope in (-0.002, 0.0)
+        for push in pushes[1:]
+    ]
     assert checked(tmp_path, table).drive == "push_off"
     assert (found["status"].sel(push_off=0.0) == "no_gait").all()
     assert_holds_single_gaits(found, "D", points)
@@ -85,11 +98,13 @@ def test_bytes_of_lines_over_what_drives_do_not_depend_on_workers_and_chunks(tmp
         '[want]\nvariables = ["stance_angle"]\n'
     )
     made = []
+
     for jobs, chunk in (("1", "300"), ("2", "37")):
         archive = tmp_path / f"{chunk}.nc"
         where = ["--archive", str(archive), "--quiet"]
         main(["run", str(path), "--jobs", jobs, "--chunk", chunk, *where])
         made.append(archive.read_bytes())
+
     assert made[0] == made[1]
 
 
@@ -104,12 +119,14 @@ def test_bytes_of_lines_over_what_drives_do_not_depend_on_workers_and_chunks(tmp
 )
 def test_grids_are_along_what_drives_where_slopes_do_not(more, along, tmp_path):
     given = {"axes": {"push_off": [0.0, 0.1, 0.2]}} | more
+
     assert checked(tmp_path, study("B", **given)).along == along
 
 
 def test_a_torque_turns_no_legs_without_inertia(tmp_path):
     table = study("D", {"hip_torque": [0.1, 0.2], "push_off": [0.1, 0.2]})
     assert checked(tmp_path, table).along == "push_off"
+
     del table["axes"]["push_off"]
     table["walker"] = {"base": "D", "push_off": 0.1}
     assert checked(tmp_path, table).along == "slope"
@@ -126,6 +143,7 @@ def test_a_plane_over_the_push_off_and_a_key_is_by_charts(accuracy, tmp_path):
         "m_h": {"from": 0.8, "to": 1.6, "n": 60},
     }
     table = study("B", axes, **accuracy)
+
     assert method_of(checked(tmp_path, table)) is Method.PLANE
 
     found = run(tmp_path, table)
@@ -140,8 +158,9 @@ def test_driven_walkers_on_slopes_have_charts_as_passive_ones_have(tmp_path):
         "slope": {"from": 0.005, "to": 0.03, "n": 10},
         "R": {"from": 0.05, "to": 0.25, "n": 60},
     }
-    table = study({"base": "B", "push_off": 0.05}, axes)
-    table["axes"] = axes
+    walker = {"base": "B", "push_off": 0.05}
+    table = study(walker, axes) | {"axes": axes}
+
     assert method_of(checked(tmp_path, table)) is Method.PLANE
 
     found = run(tmp_path, table)
@@ -151,6 +170,17 @@ def test_driven_walkers_on_slopes_have_charts_as_passive_ones_have(tmp_path):
         at["push_off"] = 0.05
     found = found.expand_dims(push_off=[0.05])
     assert_holds_single_gaits(found, "B", points)
+
+
+def assert_is_single(point, walker, slope, **keys):
+    """A point of `gaits` is a gait found alone, within the sum of both bounds."""
+    single = solve(walker, slope, **keys)
+    point = point.sel(gait=list(single["gait"]))
+    assert (point["status"] == ALL_STATUSES["converged"]).all()
+
+    off = np.abs(point["stance_angle"].values / single["stance_angle"] - 1)
+    within = point["error_bound"].values + single["error_bound"]
+    assert (off <= within).all()
 
 
 class Asked:
@@ -172,10 +202,10 @@ def test_gaits_of_arrays_are_solved_along_what_drives(monkeypatch):
     cannot be has its own status.
     """
     asked = Asked(monkeypatch)
-    slope = np.array([-0.001, 0.0, 0.01])[:, None]
+    slope = np.array([-0.001, 0.0, 0.01])
     push = np.array([0.0, 0.05, 0.2, 0.1, -1.0])
 
-    found = gaitsweep.gaits("D", slope, push_off=push)
+    found = gaitsweep.gaits("D", slope[:, None], push_off=push)
 
     assert sorted(asked.along) == [*[("push_off", 3)] * 2, *[("slope", 1)] * 4]
     has_raised = found["status"] == ALL_STATUSES["raised"]
@@ -184,12 +214,8 @@ def test_gaits_of_arrays_are_solved_along_what_drives(monkeypatch):
     assert not has_raised[:, 1:4].any()
     for i in range(3):
         for j in range(1, 4):
-            single = solve("D", slope[i, 0], push_off=push[j])
-            own = found.isel(dim_0=i, dim_1=j)
-            own = own.sel(gait=list(single["gait"]))
-            assert (own["status"] == ALL_STATUSES["converged"]).all()
-            off = np.abs(own["stance_angle"] / single["stance_angle"] - 1)
-            assert (off <= own["error_bound"].values + single["error_bound"]).all()
+            point = found.isel(dim_0=i, dim_1=j)
+            assert_is_single(point, "D", slope[i], push_off=push[j])
 
 
 def test_gaits_of_arrays_are_those_of_a_study_over_what_drives(tmp_path):
@@ -212,5 +238,7 @@ def test_gaits_of_arrays_are_those_of_a_study_over_what_drives(tmp_path):
 
 def test_a_torque_between_legs_without_inertia_is_told_point_by_point(monkeypatch):
     asked = Asked(monkeypatch)
+
     gaitsweep.gaits("D", 0.0, hip_torque=np.array([0.01, 0.02]), push_off=0.1)
+
     assert sorted(asked.along) == [("slope", 1)] * 2
