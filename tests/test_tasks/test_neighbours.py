@@ -51,6 +51,7 @@ from gaitsweep.tasks.measures.gaits import describe, measured_multipliers, to_ac
 from gaitsweep.tasks.measures.kinematics import travel
 from gaitsweep.tasks.measures.losses import contact_mass, heelstrike_losses
 from gaitsweep.tasks.measures.smooth import Smooth
+from gaitsweep.tasks.mechanics.kernel import LANES
 from gaitsweep.tasks.mechanics.small_angles import SmallAngles
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
@@ -327,11 +328,11 @@ def test_violations_of_a_lane_do_not_depend_on_the_others(name):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("lanes", ["4", "8"])
-def test_bits_do_not_depend_on_the_others_in_registers_of_any_width(lanes):
+@pytest.mark.skipif(LANES <= 4, reason="this processor has no wider registers")
+def test_bits_do_not_depend_on_the_others_in_narrower_registers():
     environment = {
         **os.environ,
-        "GAITSWEEP_LANES": lanes,
+        "GAITSWEEP_LANES": "4",
         "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
     }
     subprocess.run([sys.executable, __file__], env=environment, check=True, timeout=280)
