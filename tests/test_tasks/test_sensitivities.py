@@ -2,9 +2,11 @@
 
 from functools import partial
 
+import mpmath as mp
 import numpy as np
 import pytest
 
+import extended
 import gaitsweep
 from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.tasks.branches.atlas import from_arrays
@@ -122,6 +124,54 @@ def _differences(walker, slope, names, key, value):
     values = {name: beside[name].values[:, :2] for name in names}
     derivatives = {name: weights @ values[name] / step for name in names}
     return derivatives, {name: values[name][0] for name in names}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("walker", "slope", "key"),
+    [
+        ("B", 0.01, "R"),
+        ("B", 0.01, "slope"),
+        ("C", 0.02, "slope"),
+        ("C", 0.02, "w_s"),
+    ],
+)
+def test_derivatives_are_differences_in_113_bits(walker, slope, key):
+    """Of gaits of another derivation: by energies, and momenta of a floating walker."""
+    names = ["stance_angle", "stance_rate", "period"]
+    keys = [] if key == "slope" else [key]
+    found = gaitsweep.sensitivities(walker, slope, keys=keys, variables=names)
+
+    table = {**resolve(walker).table(), "slope": slope}
+    gait = next(gaitsweep.solve(walker, slope).itertuples())
+    differences = _differences_in_113_bits(table, key, gait)
+    exact = found.sel(key=key, gait=gait.gait)
+    for name, difference in zip(names, differences, strict=True):
+        size = abs(difference) + abs(getattr(gait, name) / table[key])
+        assert abs(float(exact[name]) - difference) < 1e-10 * size
+
+
+def _differences_in_113_bits(table, key, gait):
+    """Derivatives of the stance angle, of its rate and of the period of a gait."""
+    of_knees = [gait.shank_rate, gait.kneestrike_time] if table["knees"] else []
+    state = [
+        gait.stance_angle,
+        gait.stance_rate,
+        gait.thigh_rate,
+        *of_knees,
+        gait.period,
+    ]
+    guess = [repr(float(value)) for value in state]
+
+    step = mp.mpf("1e-7")
+    beside = []
+    for sign in (-1, 1):
+        moved = {**table, key: mp.mpf(repr(table[key])) + sign * step}
+        _, unknowns, _ = extended.solve(moved, mp.mpf(moved.pop("slope")), guess)
+        beside.append(unknowns)
+
+    low, high = ([unknowns[0], unknowns[1], unknowns[-1]] for unknowns in beside)
+    return [float((b - a) / (2 * step)) for a, b in zip(low, high, strict=True)]
 
 
 def test_a_line_of_slopes_is_differentiated_at_once_and_gaits_that_are_none_are_nan():
