@@ -155,8 +155,8 @@ class Keys:
         """Return the step maps at unknowns (k, n), their slopes counted as a drive has
         them.
 
-        Beyond the ranges, where there may be no walker, their constants are continued
-        linearly.
+        Beyond the ranges, where there may be no walker, their numbers and constants are
+        continued linearly.
         """
         values = x * self.scale[:, None]
         if self.walkers_at is not None:
@@ -168,6 +168,7 @@ class Keys:
         lanes = self._of_values(inner)
         if (inner != different).any():
             mirrored = self._of_values(2 * inner - different)
+            lanes.walkers = lanes.walkers.beyond(mirrored.walkers)
             lanes.constants = 2 * lanes.constants - mirrored.constants
 
         return lanes.some(lane.ravel()).over(drive)

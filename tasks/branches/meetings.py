@@ -319,6 +319,9 @@ def meetings(
     -----
     Two roads: the other condition's curve has the same point.
     """
+    if len(points) < 2:  # the curve leaves its window at once
+        return
+
     (own,) = equations.conditions
     own_names = DEGENERATE.get(own.name, {})
     curve = _Cubics(points, tangents)

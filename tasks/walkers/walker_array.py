@@ -74,6 +74,15 @@ class WalkerArray(Walker):
                 keys[key] = value[lanes]
         return WalkerArray(**keys)
 
+    def beyond(self, mirrored: WalkerArray) -> WalkerArray:
+        """Return walkers as far beyond these as others are before them, linearly in every
+        number.
+        """
+        numbers = {
+            key: 2 * getattr(self, key) - getattr(mirrored, key) for key in NUMBERS
+        }
+        return WalkerArray(**{**self.table(), **numbers})
+
     @property
     def eps_S(self) -> Any:
         """Angle between the shank and the hip-foot-centre line at full extension [rad]."""

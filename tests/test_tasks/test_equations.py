@@ -18,6 +18,7 @@ from gaitsweep.tasks.branches.equations import (
 )
 from gaitsweep.tasks.branches.special_points import special_points
 from gaitsweep.tasks.contract.kinds import FOLLOWED, KINDS
+from gaitsweep.tasks.measures.levels import level
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
@@ -130,6 +131,24 @@ def test_a_point_that_no_branch_has_is_not_found_and_the_guess_is_kept():
     np.testing.assert_array_equal(missed.Z, Z)
     nowhere = solve(Equations(problem, [CONDITIONS["flip"]]), np.full_like(Z, 0.3))
     assert not nowhere.ok[0]
+
+
+def test_measures_change_with_a_key_at_the_end_of_its_range_as_within_a_wider_one():
+    """Beyond the end the walker itself is continued, not only its equations of motion:
+    the loss of a heelstrike is that of its masses.
+    """
+    problem, (branch, *_) = branches("B")
+    own, Z = problem.walker.m_s, branch.Z[:, [len(branch.q) // 2]]
+    loss = level("loss_normal", 0.01)
+
+    def by_key(low, high):
+        equations = Equations(keys_of("B", m_s=(low, high)), [loss])
+        X = np.vstack([Z, own / equations.keys.scale])
+        return equations.at(X).derivative[-1, -1, 0] / equations.keys.scale[0]
+
+    within = by_key(0.5 * own, 1.5 * own)
+    assert by_key(own, 1.5 * own) == pytest.approx(within, rel=1e-3)
+    assert by_key(0.5 * own, own) == pytest.approx(within, rel=1e-3)
 
 
 def test_where_there_is_no_walker_a_lane_is_lost_and_its_neighbour_is_not():

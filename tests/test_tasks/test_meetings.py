@@ -318,6 +318,11 @@ def test_a_curve_meets_a_condition_wherever_its_scalar_vanishes(
     assert [each.segment for each in found] == [min(int(x), 2) for x in roots]
 
 
+def test_a_curve_that_leaves_its_window_at_once_meets_nothing():
+    points, tangents = np.array([[0.0, 1.0]]), np.array([[0.0, 1.0]])
+    assert not list(meetings.meetings(None, points, tangents, "own", {}))
+
+
 #: Slope of the cusp below, and how it moves with the key.
 SLOPE, TILT = -3.0, 0.5
 

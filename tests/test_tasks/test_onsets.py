@@ -82,20 +82,38 @@ def test_amounts_of_single_gaits_pass_their_limit_at_an_onset(
     assert errors[0] < 1e-11
 
 
-def test_an_onset_on_a_curve_is_that_of_its_walker():
-    """The limit is counted over the leg, which changes with the radius of the foot."""
-    params = {"line": {"walker": "A", "set": {}}, "slope": np.array([0.02, 0.06])}
-    params |= {"key": "R", "from": 0.19, "to": 0.21, "kinds": []}
-    params |= {"onsets": ["scuff"]}
+@pytest.mark.parametrize(
+    ("walker", "violation", "limit", "window", "key", "ends", "amount", "label"),
+    [
+        # The limit is counted over the leg, which changes with the radius of the foot.
+        (
+            *("A", "scuff", 0.001, (0.02, 0.06)),
+            *("R", (0.19, 0.21), "scuff_depth", "long"),
+        ),
+        # Begun at the end of the key's range.
+        pytest.param(
+            *("C", "friction", 0.3, (0.09, 0.1)),
+            *("m_h", (0.3, 0.7), "friction_demand", "short"),
+            marks=pytest.mark.thorough,
+        ),
+    ],
+)
+def test_an_onset_on_a_curve_is_that_of_its_walker(
+    walker, violation, limit, window, key, ends, amount, label
+):
+    params = {"line": {"walker": walker, "set": {}}, "slope": np.array(window)}
+    params |= {"key": key, "from": ends[0], "to": ends[1], "kinds": []}
+    params |= {"onsets": [violation], "violation_limits": {violation: limit}}
 
-    found = curve(params, [_atlas("A", ())])
+    found = curve(params, [_atlas(walker, ())])
 
-    assert {*found["curves/kind"]} == {"onset_of_scuff_depth"}
-    assert found["curves/walks"].all()
+    own = found["curves/kind"] == f"onset_of_{amount}"
+    assert own.any()
+    assert found["curves/walks"][own].all()
     assert found["curves/error_bound"].max() < 1e-11
-    row = len(found["curves/slope"]) // 3
-    slope, R = found["curves/slope"][row], found["curves/value"][row]
-    low, high = bisected("A", "scuff_depth", 0.001, slope, "long", R=R)
+    row = own.sum() // 3
+    slope, value = found["curves/slope"][own][row], found["curves/value"][own][row]
+    low, high = bisected(walker, amount, limit, slope, label, **{key: value})
     assert low < slope < high
 
 
