@@ -142,11 +142,15 @@ def test_measures_change_with_a_key_at_the_end_of_its_range_as_within_a_wider_on
     loss = level("loss_normal", 0.01)
 
     def by_key(low, high):
-        equations = Equations(keys_of("B", m_s=(low, high)), [loss])
-        X = np.vstack([Z, own / equations.keys.scale])
-        return equations.at(X).derivative[-1, -1, 0] / equations.keys.scale[0]
+        keys = keys_of("B", m_s=(low, high))
+        X = np.vstack([Z, own / keys.scale])
+
+        system = Equations(keys, [loss]).at(X)
+
+        return system.derivative[-1, -1, 0] / keys.scale[0]
 
     within = by_key(0.5 * own, 1.5 * own)
+
     assert by_key(own, 1.5 * own) == pytest.approx(within, rel=1e-3)
     assert by_key(0.5 * own, own) == pytest.approx(within, rel=1e-3)
 
