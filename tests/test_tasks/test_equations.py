@@ -49,7 +49,9 @@ def test_a_gait_of_a_given_speed_is_one_condition():
 
     gait = solve(Equations(problem, [speed]), branch.Z[:, [nearest]])
 
-    angle, period = np.exp(gait.Z[0, 0]), gait.Z[-2, 0]
+    angle = np.exp(gait.Z[0, 0])
+    period = gait.Z[-2, 0]
+
     walker = problem.walker
     foot = walker.R / walker.leg
     step = 2 * walker.leg * ((1 - foot) * np.sin(angle) + foot * angle)
