@@ -44,6 +44,7 @@ def points_of(walker, kind, **keys):
 def test_a_gait_of_a_given_speed_is_one_condition():
     problem, found = branches("A")
     branch, wanted = found[0], 0.2
+
     speed = CONDITIONS["speed"].equal_to(np.log(wanted))
     nearest = np.abs(speed.residual(Equations(problem).evaluate(branch.Z))).argmin()
 
@@ -69,10 +70,13 @@ def test_folds_at_a_fixed_slope_are_a_curve_over_two_keys():
 
     points, _, stopped = follow_both_directions(folds, first, window)
 
-    assert stopped == ("border", "border") and np.ptp(points[:, -2]) > 0.05
+    assert stopped == ("border", "border")
+    assert np.ptp(points[:, -2]) > 0.05
+
     for X in points[[0, -1]]:
         values = dict(zip(keys.names, keys.values(X[-2:, None])[:, 0], strict=True))
         slopes = [point["slope"] for point in points_of("A", "fold", **values)]
+
         assert min(slopes) == pytest.approx(fold["slope"], rel=1e-9)
 
 
