@@ -124,7 +124,14 @@ class Problem:
         assert self.drive.base is not None
         over, counted = over_slopes(self.drive.base)
         walkers = self.drive.walkers(self.every_walker, drive)
-        return Lanes(walkers, self.structure, over), np.full(len(drive), counted)
+        lanes = Lanes(walkers, self.structure, over, self._constants_at(drive))
+        return lanes, np.full(len(drive), counted)
+
+    def _constants_at(self, drive: np.ndarray) -> np.ndarray:
+        """The structure's constants of every lane, shape (constants, n)."""
+        constants = self.constants[:, self.lanes]
+        constants = np.broadcast_to(constants, (len(constants), len(drive)))
+        return self.drive.constants(self.structure, constants, drive)
 
     def over(self: AnyProblem, drive: Drive) -> AnyProblem:
         """Return the same walkers' problem, with slopes counted as a drive has them."""
@@ -148,10 +155,7 @@ class Problem:
         -------
         ndarray, shape (n_parameters, n)
         """
-        constants = self.constants[:, self.lanes]
-        constants = np.broadcast_to(constants, (len(constants), len(drive)))
-        constants = self.drive.constants(self.structure, constants, drive)
-        return np.vstack([self.slopes(drive), scale, constants])
+        return np.vstack([self.slopes(drive), scale, self._constants_at(drive)])
 
     def some(self, lanes: np.ndarray | slice) -> Problem:
         """Return the problem of some lanes: the same where all lanes share a walker.
@@ -299,6 +303,9 @@ class Lanes(Problem):
         Lane i has walker i; they are kept as an array.
     structure : Structure, optional
         By default the first walker's.
+    drive : Drive
+    constants : ndarray, shape (constants, n), optional
+        The structure's, where they are known.
     """
 
     lanes: np.ndarray
@@ -308,6 +315,7 @@ class Lanes(Problem):
         walkers: WalkerArray | Sequence[Walker],
         structure: Structure | None = None,
         drive: Drive = OVER_SLOPE,
+        constants: np.ndarray | None = None,
     ):
         self.drive = drive
         self.walkers = (
@@ -315,7 +323,9 @@ class Lanes(Problem):
         )
         self.walker = walkers[0]
         self._set(structure or drive.structure(self.walker), 1)
-        self.constants = constants_of(self.walkers, self.structure)
+        if constants is None:
+            constants = constants_of(self.walkers, self.structure)
+        self.constants = constants
         self.lanes = np.arange(len(walkers))
 
     def some(self, lanes: np.ndarray | slice) -> Lanes:
