@@ -311,6 +311,47 @@ def test_pages_made_in_one_process_or_several_have_the_same_bytes(
     assert _files(tmp_path) == _files(report)
 
 
+def test_processes_that_make_pages_do_not_load_dask(monkeypatch):
+    seen = []
+    monkeypatch.delitem(sys.modules, "dask.array", raising=False)
+    monkeypatch.setattr(
+        pages, "_timed", lambda *_: seen.append(sys.modules["dask.array"])
+    )
+
+    pages._delivered(Mock(), "a")
+
+    assert seen == [None]
+    assert "dask.array" not in sys.modules
+
+
+def test_processes_load_while_archives_are_read_and_then_make_the_pages(
+    archives, tmp_path, monkeypatch
+):
+    events = []
+
+    class Parallel:
+        n_jobs = 2
+
+        def __init__(self, *_, **__):
+            pass
+
+        def __call__(self, calls):
+            names = [function.__name__ for function, _, _ in calls]
+            events.append(names[0])
+            return iter([])
+
+    monkeypatch.setattr(pages.joblib, "Parallel", Parallel)
+    monkeypatch.setattr(pages.joblib, "cpu_count", lambda: 2)
+    read_before = pages.read
+    monkeypatch.setattr(
+        pages, "read", lambda path: events.append("read") or read_before(path)
+    )
+
+    pages.write(archives[:2], tmp_path)
+
+    assert events == ["_environment_made", "read", "read", "_delivered"]
+
+
 def _die(*_):
     os.kill(os.getpid(), signal.SIGKILL)
 
