@@ -41,6 +41,9 @@ _WORDS = re.compile(
     r' x="([-\d.]+)" y="[-\d.]+">([^<]*)<'
 )
 
+#: A group of an SVG that holds nothing.
+_EMPTY = r"<g(?: [^>]*)?/>|<g(?: [^>]*[^/>])?>\s*</g>"
+
 #: Markers as characters, filled and hollow.
 _CHARACTERS = {
     "o": "●○",
@@ -211,7 +214,7 @@ def _small(svg: str) -> str:
     )
     previous = ""
     while svg != previous:
-        previous, svg = svg, re.sub(r"<g[^>]*>\s*</g>", "", svg)
+        previous, svg = svg, re.sub(_EMPTY, "", svg)
     return svg
 
 
@@ -244,11 +247,17 @@ def _adapt(svg: str, decimals: int) -> str:
         "xlink:href", "href"
     )
     svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", svg)
+    # Marks, whose paths have a name, would become squares or nothing.
+    fine = r"(\.\d\d)\d+"
     cut = rf"(\.\d{{{decimals}}})\d+" if decimals else r"()\.\d+"
     for drawn, variable in VARIABLES.items():
         svg = svg.replace(f": {drawn}", f": var(--{variable})")
-    svg = re.sub(r' d="[^"]*"', lambda path: re.sub(cut, r"\1", path[0]), svg)
-    svg = re.sub(r"<use [^>]*>", lambda use: re.sub(r"(\.\d\d)\d+", r"\1", use[0]), svg)
+    svg = re.sub(
+        r'(<path id="[^"]*")? d="[^"]*"',
+        lambda path: re.sub(fine if path[1] else cut, r"\1", path[0]),
+        svg,
+    )
+    svg = re.sub(r"<use [^>]*>", lambda use: re.sub(fine, r"\1", use[0]), svg)
     return re.sub(r">\s+<", "><", re.sub(r"\n\s*", " ", svg))
 
 
