@@ -6,7 +6,6 @@ import base64
 import contextlib
 import hashlib
 import math
-import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -17,7 +16,6 @@ from typing import Any
 import jinja2
 import joblib
 import pandas as pd
-import rjsmin
 
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.read import blamed_if_damaged
@@ -26,7 +24,9 @@ from gaitsweep.pipeline.report import entry, folder, html_tables, paper
 from gaitsweep.pipeline.report.extra import Picture
 from gaitsweep.pipeline.report.extra import pictures as extra_pictures
 from gaitsweep.pipeline.report.figures import Undrawn, draw, slices, starts
+from gaitsweep.pipeline.report.figures.style import NARROW_SMALL_WORDS, NARROW_WORDS
 from gaitsweep.pipeline.report.figures.svg import Drawing
+from gaitsweep.pipeline.report.minified import minified
 from gaitsweep.pipeline.report.source import Source, read
 from gaitsweep.pipeline.report.time_to_go import TimeToGo, work
 from gaitsweep.pipeline.report.words import grouped, plain
@@ -475,7 +475,7 @@ def _environment() -> jinja2.Environment:
     }
     script = _script()
     environment.globals.update(
-        style=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
+        style=_style(),
         script=script,
         digest=_digest(script),
         digest_of=_digest,
@@ -492,13 +492,18 @@ def _digest(script: str) -> str:
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
+def _style() -> str:
+    """The style of all pages, with the sizes that figures are laid out for."""
+    sizes = f"--narrow-words: {NARROW_WORDS}px; "
+    sizes += f"--narrow-small-words: {NARROW_SMALL_WORDS}px;"
+    text = (TEMPLATES / "report.css").read_text(encoding="utf-8")
+    return f":root {{ {sizes} }}\n{text}"
+
+
 def _script() -> str:
     """The one script of a page, its modules in their order."""
-    text = rjsmin.jsmin(
-        "\n".join(
-            (_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES
-        )
-    )
-    # After a block no line need end before another statement.
-    text = re.sub(r"}\n(?=function |class |if|for|const |let |})", "}", text)
-    return f'"use strict";\n(() => {{\n{text.replace(";}", "}")}\n}})();'
+    modules = [
+        (_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES
+    ]
+    text = minified("\n".join(modules))
+    return f'"use strict";\n(() => {{\n{text}\n}})();'

@@ -29,6 +29,7 @@ from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import (
     COLOURS,
     MUTED,
+    NARROW_WORDS,
     WALKERS,
     canvas,
     choose_rows,
@@ -1434,3 +1435,16 @@ def test_marks_of_small_pictures_keep_their_form():
     small = svg._adapt(picture, 0)
 
     assert 'd="M 0 0.45 "' in small and 'd="M 7 1 "' in small
+
+
+def test_titles_of_maps_stay_apart_on_a_narrow_page(sources):
+    figure = draw(sources["design"], "design", "test")
+    lefts = sorted({axes["box"][0] for axes in figure.axes})
+
+    # Of words on several lines each is placed on its own.
+    placed = re.findall(r'translate\(([\d.]+) [\d.]+\)">([^<]*)', figure.svg)
+
+    assert {round(float(x), 2) for x, _ in placed} == {*lefts} and len(lefts) == 3
+    for x, text in placed:
+        end = float(x) + 0.55 * NARROW_WORDS * len(text.strip())
+        assert end < min((y for y in lefts if y > float(x) + 1), default=figure.width)

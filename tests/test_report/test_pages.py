@@ -21,6 +21,7 @@ from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.errors import ArchiveError
 from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.report import entry, folder, html_tables, ledger, pages, source
+from gaitsweep.pipeline.report.figures.style import NARROW_SMALL_WORDS, NARROW_WORDS
 from gaitsweep.pipeline.report.source import read
 from gaitsweep.pipeline.report.time_to_go import TimeToGo, work
 from gaitsweep.pipeline.report.words import plain, typeset
@@ -44,6 +45,18 @@ def test_there_is_a_page_for_each_study_an_index_and_a_ledger(report):
         "detuning",
         "cascade",
         "design",
+    }
+
+
+def test_words_of_narrow_pages_have_the_sizes_that_figures_are_laid_out_for():
+    style = pages._style()
+
+    assert f"--narrow-words: {NARROW_WORDS}px" in style
+    assert f"--narrow-small-words: {NARROW_SMALL_WORDS}px" in style
+    narrow = style.partition("(max-width: 27rem)")[2].partition("\n")[0]
+    assert set(re.findall(r"font-size: ([^ ;]+)", narrow)) == {
+        "var(--narrow-words)",
+        "var(--narrow-small-words)",
     }
 
 

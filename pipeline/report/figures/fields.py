@@ -102,15 +102,17 @@ def _hold_finer(held: "_Held", step: int) -> None:
     """Hold the values between those at twice a step: columns, then rows."""
     m, n = held.values.shape
     error = max(0.5, _ERROR / step)
-    known = held.values[:: 2 * step, :: 2 * step].T
-    between = _predict(known, range(step, n, 2 * step), step)
-    rows, columns = slice(0, m, 2 * step), slice(step, n, 2 * step)
-    held.settle((rows, columns), between.T, error, by_columns=True)
+    every_other = slice(0, None, 2 * step)
+    between = slice(step, None, 2 * step)
 
-    known = held.values[:: 2 * step, ::step]
-    between = _predict(known, range(step, m, 2 * step), step)
-    rows, columns = slice(step, m, 2 * step), slice(0, n, step)
-    held.settle((rows, columns), between, 1.5 * error)
+    known = held.values[every_other, every_other].T
+    columns = _predict(known, range(step, n, 2 * step), step).T
+    held.settle((every_other, between), columns, error, by_columns=True)
+
+    held_so_far = slice(0, None, step)
+    known = held.values[every_other, held_so_far]
+    rows = _predict(known, range(step, m, 2 * step), step)
+    held.settle((between, held_so_far), rows, 1.5 * error)
 
 
 class _Held:
