@@ -2,7 +2,8 @@
 conventions.md: `python docs/tables.py`.
 
 A table stands below a comment that names it, as `<!-- options of grid -->` or `<!-- D in
-garcia -->`.
+garcia -->`. That of `<!-- figures -->` is written by hand but for its last column, a
+small picture of each figure that a row names (pictures.py).
 """
 
 import argparse
@@ -66,11 +67,25 @@ def _gaits(walker: str, convention: str) -> Iterator[str]:
         yield f"| {' | '.join(row[name] for name in names)} |"
 
 
+def _with_pictures(rows: list[str]) -> Iterator[str]:
+    """Rows of a table with small pictures of the figures that each names."""
+    for row in rows:
+        *cells, last = (cell.strip() for cell in row.split("|")[1:-1])
+        figures = re.findall(r"`(\w+)`", cells[0])
+        if figures:
+            last = " ".join(f"![{name}](figures/{name}.svg)" for name in figures)
+        yield f"| {' | '.join([*cells, last])} |"
+
+
 def filled(text: str) -> str:
     """A page with its tables as the fields and the gaits are now."""
     tables = _tables()
 
     def table(place: re.Match[str]) -> str:
+        if place[2] == "figures":
+            lines = _with_pictures(place[0].splitlines()[1:])
+            return place[1] + "".join(f"{line}\n" for line in lines)
+
         of_gaits = _OF_GAITS.fullmatch(place[2])
         lines = _gaits(*of_gaits.groups()) if of_gaits else _lines(tables[place[2]])
         return place[1] + "".join(f"{line}\n" for line in lines)

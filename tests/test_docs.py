@@ -321,6 +321,7 @@ def test_every_figure_is_in_the_table_of_figures():
     named = {
         name
         for line in table.splitlines()
+        if line.startswith("|")
         for name in re.findall(r"`(\w+)`", line.split("|")[1])
     }
     drawn_of_themselves = {"residuals", "measured"}

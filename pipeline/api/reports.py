@@ -1,7 +1,6 @@
 """Reports and single figures of archives, from Python and for the command."""
 
 import io
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ from gaitsweep.pipeline.api.threads import in_turn
 from gaitsweep.pipeline.archive import read
 from gaitsweep.pipeline.errors import ArchiveError, unwritten
 from gaitsweep.pipeline.study.location import Location
+from gaitsweep.pipeline.without_dask import without_dask
 
 if TYPE_CHECKING:  # the folder `report` imports matplotlib, with its own settings
     from matplotlib.figure import Figure
@@ -75,19 +75,14 @@ def write(
     """Write the pages as `report` does; `tell` is told the number of pages made and the
     time to go [s], before the first and after each.
     """
-    # Asked whether an array is one of dask's, xarray would import dask.array, and so
-    # half of SciPy: a second a process.
-    no_dask = sys.modules.setdefault("dask.array", None) is None  # type: ignore[arg-type]
     try:
-        read.probe(archives, meanwhile=_load_pages)
-        from gaitsweep.pipeline.report import pages
+        with without_dask():
+            read.probe(archives, meanwhile=_load_pages)
+            from gaitsweep.pipeline.report import pages
 
-        return pages.write(archives, folder, only, tell, bundle, extra)
+            return pages.write(archives, folder, only, tell, bundle, extra)
     except OSError as error:
         raise unwritten(folder, error) from error
-    finally:
-        if no_dask:
-            del sys.modules["dask.array"]
 
 
 def _load_pages() -> None:

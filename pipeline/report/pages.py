@@ -6,9 +6,8 @@ import base64
 import contextlib
 import hashlib
 import math
-import re
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -17,7 +16,6 @@ from typing import Any
 import jinja2
 import joblib
 import pandas as pd
-import rjsmin
 
 from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.archive.read import blamed_if_damaged
@@ -26,10 +24,13 @@ from gaitsweep.pipeline.report import entry, folder, html_tables, paper
 from gaitsweep.pipeline.report.extra import Picture
 from gaitsweep.pipeline.report.extra import pictures as extra_pictures
 from gaitsweep.pipeline.report.figures import Undrawn, draw, slices, starts
+from gaitsweep.pipeline.report.figures.style import NARROW_SMALL_WORDS, NARROW_WORDS
 from gaitsweep.pipeline.report.figures.svg import Drawing
+from gaitsweep.pipeline.report.minified import minified
 from gaitsweep.pipeline.report.source import Source, read
 from gaitsweep.pipeline.report.time_to_go import TimeToGo, work
 from gaitsweep.pipeline.report.words import grouped, plain
+from gaitsweep.pipeline.without_dask import without_dask
 
 #: HTML and CSS of the pages, and the modules of their script.
 TEMPLATES = Path(__file__).parent / "templates"
@@ -123,14 +124,15 @@ def write(
     """
     archives = [Path(archive) for archive in archives]
     pictures = extra_pictures(extra)
-    sources = [read(archive) for archive in archives]
+    with _begun(_processes(len(archives))) as parallel:
+        sources = [read(archive) for archive in archives]
     _check_extra(pictures, sources)
 
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     slugs = _slugs(sources)
     tell(0, math.nan)
-    pages = _in_processes(sources, slugs, tell, pictures)
+    pages = _in_processes(parallel, sources, slugs, tell, pictures)
     with folder.locked(out):
         folder.combine(_environment(), out, pages, only, bundle)
     is_shown = len(sources) == 1 and not sources[0].only_claims
@@ -168,7 +170,36 @@ def _processes(pages: int) -> int:
     return min(_MAX_PROCESSES, joblib.cpu_count(), pages)
 
 
+@contextlib.contextmanager
+def _begun(processes: int) -> Iterator[joblib.Parallel]:
+    """Processes that load what pages are made with while something else is done; one
+    alone is this one, which has.
+    """
+    parallel = joblib.Parallel(
+        processes,
+        return_as="generator_unordered",
+        batch_size=1,
+        pre_dispatch="all",
+    )
+    loading: Iterable[Any] = ()
+    if processes > 1:
+        # Where there are none, pages are made here.
+        with contextlib.suppress(Exception):
+            loading = parallel([joblib.delayed(_environment_made)()] * processes)
+    try:
+        yield parallel
+    finally:
+        with contextlib.suppress(Exception):
+            list(loading)
+
+
+def _environment_made() -> None:
+    """Load what pages are made with."""
+    _environment()
+
+
 def _in_processes(
+    parallel: joblib.Parallel,
     sources: list[Source],
     slugs: list[str],
     tell: Callable[[int, float], object],
@@ -182,8 +213,7 @@ def _in_processes(
     """
     works = {slug: work(source) for source, slug in zip(sources, slugs, strict=True)}
     called = dict(zip(slugs, sources, strict=True))
-    processes = _processes(len(sources))
-    to_go = TimeToGo(works, processes)
+    to_go = TimeToGo(works, parallel.n_jobs)
     made: dict[str, folder.Page] = {}
 
     def take(slug: str, page: folder.Page, seconds: float) -> None:
@@ -191,15 +221,9 @@ def _in_processes(
         to_go.count(slug, seconds)
         tell(len(made), to_go.seconds)
 
-    if processes > 1:
+    if parallel.n_jobs > 1:
         first = sorted(slugs, key=lambda slug: -works[slug])
         calls = [joblib.delayed(_delivered)(called[slug], slug) for slug in first]
-        parallel = joblib.Parallel(
-            processes,
-            return_as="generator_unordered",
-            batch_size=1,
-            pre_dispatch="all",
-        )
         # Whatever happens to a process: an error of a page is raised again below.
         with contextlib.suppress(Exception):
             for delivered in parallel(calls):
@@ -214,7 +238,8 @@ def _in_processes(
 
 def _delivered(source: Source, slug: str) -> tuple[str, folder.Page, float]:
     """What `_timed` gives, from a process of its own."""
-    return _timed(source, slug, ())
+    with without_dask():
+        return _timed(source, slug, ())
 
 
 def _timed(
@@ -450,7 +475,7 @@ def _environment() -> jinja2.Environment:
     }
     script = _script()
     environment.globals.update(
-        style=(TEMPLATES / "report.css").read_text(encoding="utf-8"),
+        style=_style(),
         script=script,
         digest=_digest(script),
         digest_of=_digest,
@@ -467,13 +492,18 @@ def _digest(script: str) -> str:
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
+def _style() -> str:
+    """The style of all pages, with the sizes that figures are laid out for."""
+    sizes = f"--narrow-words: {NARROW_WORDS}px; "
+    sizes += f"--narrow-small-words: {NARROW_SMALL_WORDS}px;"
+    text = (TEMPLATES / "report.css").read_text(encoding="utf-8")
+    return f":root {{ {sizes} }}\n{text}"
+
+
 def _script() -> str:
     """The one script of a page, its modules in their order."""
-    text = rjsmin.jsmin(
-        "\n".join(
-            (_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES
-        )
-    )
-    # After a block no line need end before another statement.
-    text = re.sub(r"}\n(?=function |class |if|for|const |let |})", "}", text)
-    return f'"use strict";\n(() => {{\n{text.replace(";}", "}")}\n}})();'
+    modules = [
+        (_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES
+    ]
+    text = minified("\n".join(modules))
+    return f'"use strict";\n(() => {{\n{text}\n}})();'

@@ -20,6 +20,7 @@ from gaitsweep.pipeline.report.figures import (
     landmarks,
     over_key,
     slices,
+    svg,
 )
 from gaitsweep.pipeline.report.figures.body import Body
 from gaitsweep.pipeline.report.figures.cycle import traced_steps
@@ -28,6 +29,7 @@ from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import (
     COLOURS,
     MUTED,
+    NARROW_WORDS,
     WALKERS,
     canvas,
     choose_rows,
@@ -1417,3 +1419,32 @@ def test_a_figure_whose_words_would_leave_a_narrow_page_keeps_its_size(length, i
         )
 
     assert figure.is_wide == is_wide
+
+
+def test_small_pictures_close_what_they_open():
+    """A group that closes itself took the end of the one around it away."""
+    picture = '<svg><g><g id="a"/></g> <g id="b"> </g><g class="c"><path/></g></svg>'
+
+    assert svg._small(picture) == '<svg> <g class="c"><path/></g></svg>'
+
+
+def test_marks_of_small_pictures_keep_their_form():
+    """Rounded to whole numbers, a dot is nothing, and draws nothing."""
+    picture = '<svg viewBox="0 0 9 9"><path id="m1" d="M 0 0.456 "/><path d="M 7.89 1 "/></svg>'
+
+    small = svg._adapt(picture, 0)
+
+    assert 'd="M 0 0.45 "' in small and 'd="M 7 1 "' in small
+
+
+def test_titles_of_maps_stay_apart_on_a_narrow_page(sources):
+    figure = draw(sources["design"], "design", "test")
+    lefts = sorted({axes["box"][0] for axes in figure.axes})
+
+    # Of words on several lines each is placed on its own.
+    placed = re.findall(r'translate\(([\d.]+) [\d.]+\)">([^<]*)', figure.svg)
+
+    assert {round(float(x), 2) for x, _ in placed} == {*lefts} and len(lefts) == 3
+    for x, text in placed:
+        end = float(x) + 0.55 * NARROW_WORDS * len(text.strip())
+        assert end < min((y for y in lefts if y > float(x) + 1), default=figure.width)

@@ -21,6 +21,7 @@ from gaitsweep.pipeline.archive.citation import PAPER
 from gaitsweep.pipeline.errors import ArchiveError
 from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.report import entry, folder, html_tables, ledger, pages, source
+from gaitsweep.pipeline.report.figures.style import NARROW_SMALL_WORDS, NARROW_WORDS
 from gaitsweep.pipeline.report.source import read
 from gaitsweep.pipeline.report.time_to_go import TimeToGo, work
 from gaitsweep.pipeline.report.words import plain, typeset
@@ -44,6 +45,18 @@ def test_there_is_a_page_for_each_study_an_index_and_a_ledger(report):
         "detuning",
         "cascade",
         "design",
+    }
+
+
+def test_words_of_narrow_pages_have_the_sizes_that_figures_are_laid_out_for():
+    style = pages._style()
+
+    assert f"--narrow-words: {NARROW_WORDS}px" in style
+    assert f"--narrow-small-words: {NARROW_SMALL_WORDS}px" in style
+    narrow = style.partition("(max-width: 27rem)")[2].partition("\n")[0]
+    assert set(re.findall(r"font-size: ([^ ;]+)", narrow)) == {
+        "var(--narrow-words)",
+        "var(--narrow-small-words)",
     }
 
 
@@ -309,6 +322,47 @@ def test_pages_made_in_one_process_or_several_have_the_same_bytes(
     assert made == (*range(len(archives) + 1),)
     assert np.isnan(left[0]) and min(left[1:-1]) > 0 and left[-1] == 0
     assert _files(tmp_path) == _files(report)
+
+
+def test_processes_that_make_pages_do_not_load_dask(monkeypatch):
+    seen = []
+    monkeypatch.delitem(sys.modules, "dask.array", raising=False)
+    monkeypatch.setattr(
+        pages, "_timed", lambda *_: seen.append(sys.modules["dask.array"])
+    )
+
+    pages._delivered(Mock(), "a")
+
+    assert seen == [None]
+    assert "dask.array" not in sys.modules
+
+
+def test_processes_load_while_archives_are_read_and_then_make_the_pages(
+    archives, tmp_path, monkeypatch
+):
+    events = []
+
+    class Parallel:
+        n_jobs = 2
+
+        def __init__(self, *_, **__):
+            pass
+
+        def __call__(self, calls):
+            names = [function.__name__ for function, _, _ in calls]
+            events.append(names[0])
+            return iter([])
+
+    monkeypatch.setattr(pages.joblib, "Parallel", Parallel)
+    monkeypatch.setattr(pages.joblib, "cpu_count", lambda: 2)
+    read_before = pages.read
+    monkeypatch.setattr(
+        pages, "read", lambda path: events.append("read") or read_before(path)
+    )
+
+    pages.write(archives[:2], tmp_path)
+
+    assert events == ["_environment_made", "read", "read", "_delivered"]
 
 
 def _die(*_):

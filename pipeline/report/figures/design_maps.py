@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,6 +53,9 @@ _DATA = (*MAPPED, "smallest_at", "stability_lost_by", "fastest_slope")
 _NAMED = {"detuning": (0.0, 1.0)}
 #: Extent of contours that have a label, over that of the map.
 _LABELLED = 0.2
+#: Letters of a line of a map's title, which does not reach the next on a phone, where
+#: words are larger.
+_TITLE = 18
 #: Fewest cells along each side of a map on which contours are drawn.
 _MIN_CONTOURED = 6
 
@@ -82,7 +86,7 @@ def design(source: Source, table: pd.DataFrame) -> Sketch | None:
     data = _maps(table, columns, down, along)
     count = len(data.rows)
     shape = (count, len(MAPPED))
-    sketch = Sketch("design", 100 + 150 * count, *shape, sharex=True, sharey=True)
+    sketch = Sketch("design", 112 + 150 * count, *shape, sharex=True, sharey=True)
     marked = [_draw_row(sketch, source, data, k) for k in range(count)]
     _add_titles(sketch, _symbol(source, along))
 
@@ -110,7 +114,8 @@ def _maps(table: pd.DataFrame, columns: list[str], down: str, along: str) -> _Ma
 def _add_titles(sketch: Sketch, along: str) -> None:
     """Add titles of the columns of maps, of their axes, and their scales of colours."""
     for axes, mapped in zip(sketch.grid[0], MAPPED.values(), strict=True):
-        axes.set_title(mapped.title, pad=5)
+        # From the left, where lines stay one below the other at any size.
+        axes.set_title(fill(mapped.title, _TITLE), x=0, ha="left", pad=5)
     for axes, column in zip(sketch.grid[-1], sketch.grid.T, strict=True):
         axes.set_xlabel(along)
         axes.xaxis.set_major_locator(MaxNLocator(5))

@@ -7,7 +7,7 @@ has 8 digits of a number in some 8 kilobytes (read by scripts/address.js).
 """
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -99,18 +99,20 @@ def _hold_coarse(held: "_Held", step: int) -> None:
 
 
 def _hold_finer(held: "_Held", step: int) -> None:
-    """Hold the values between those at twice a step."""
+    """Hold the values between those at twice a step: columns, then rows."""
     m, n = held.values.shape
     error = max(0.5, _ERROR / step)
-    for j in range(step, n, 2 * step):
-        rows = slice(0, m, 2 * step)
-        known = [held.values[rows, a] for a in range(0, n, 2 * step)]
-        held.settle((rows, j), _predict(known, j, step), error)
+    every_other = slice(0, None, 2 * step)
+    between = slice(step, None, 2 * step)
 
-    for i in range(step, m, 2 * step):
-        columns = slice(0, n, step)
-        known = [held.values[a, columns] for a in range(0, m, 2 * step)]
-        held.settle((i, columns), _predict(known, i, step), 1.5 * error)
+    known = held.values[every_other, every_other].T
+    columns = _predict(known, range(step, n, 2 * step), step).T
+    held.settle((every_other, between), columns, error, by_columns=True)
+
+    held_so_far = slice(0, None, step)
+    known = held.values[every_other, held_so_far]
+    rows = _predict(known, range(step, m, 2 * step), step)
+    held.settle((between, held_so_far), rows, 1.5 * error)
 
 
 class _Held:
@@ -123,21 +125,33 @@ class _Held:
         self.values = np.zeros_like(exact, float)
         self.residuals = list[np.ndarray]()
 
-    def settle(self, part: Any, predicted: np.ndarray, error: float) -> None:
-        """Hold a part as predicted, or to a whole number where that errs by more."""
+    def settle(
+        self, part: Any, predicted: np.ndarray, error: float, by_columns: bool = False
+    ) -> None:
+        """Hold a part as predicted, or to a whole number where that errs by more; it is
+        read by rows or by columns.
+        """
         exact = self.exact[part]
         missed = ~self.absent[part] & (np.abs(exact - predicted) > error)
         self.values[part] = np.where(missed, np.floor(exact + 0.5), predicted)
-        self.residuals.append(self.values[part] - predicted)
+        residuals = self.values[part] - predicted
+        self.residuals.append(residuals.ravel(order="F" if by_columns else "C"))
 
 
-def _predict(known: list[np.ndarray], x: int, s: int) -> np.ndarray:
-    """Value at place x of the polynomial through the nearest of known values at 0, 2 s,
-    4 s …, to a whole number.
+def _predict(known: np.ndarray, places: Sequence[int], s: int) -> np.ndarray:
+    """Values at some places of the polynomials through the nearest of the rows of known
+    values at 0, 2 s, 4 s …, to a whole number.
     """
-    total: Any = 0.0
-    for k, weight in _weights(len(known), x, s):
-        total = total + known[k] * weight
+    total = np.zeros((len(places), known.shape[1]))
+    if not len(places):
+        return total
+
+    # One term after the other, as the script adds them: sums round alike.
+    terms = zip(*(_weights(len(known), x, s) for x in places), strict=True)
+    for term in terms:
+        rows, weights = zip(*term, strict=True)
+        total += known[list(rows)] * np.array(weights)[:, None]
+
     return np.asarray(np.floor(total + 0.5))
 
 

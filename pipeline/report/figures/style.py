@@ -23,6 +23,11 @@ from gaitsweep.pipeline.report.words import axis_values, plain, shorten, supersc
 #: Width of a figure [pt]; its text stays legible on a phone.
 WIDTH = 480
 
+#: Sizes of words of a figure on pages as narrow as a phone, in its own units: of most,
+#: and of those drawn smaller than the latter's border. The page's style takes them from
+#: here.
+NARROW_WORDS, NARROW_SMALL_WORDS, SMALL_BELOW = 12, 11, 9
+
 #: Colours as drawn, those of walkers in their order. On the page each is a CSS
 #: variable, with a light and a dark value.
 _GROUND = {"ink": "#1b1d20", "muted": "#5d6268", "rule": "#dfe2e6", "paper": "#fefefd"}

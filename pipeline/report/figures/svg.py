@@ -19,7 +19,15 @@ from matplotlib.text import Text
 
 from gaitsweep.pipeline.report.figures.sketch import Marks, Panel, Sketch
 from gaitsweep.pipeline.report.figures.starts import START, rounded
-from gaitsweep.pipeline.report.figures.style import PAPER, VARIABLES, thin, title_of
+from gaitsweep.pipeline.report.figures.style import (
+    NARROW_SMALL_WORDS,
+    NARROW_WORDS,
+    PAPER,
+    SMALL_BELOW,
+    VARIABLES,
+    thin,
+    title_of,
+)
 from gaitsweep.pipeline.report.words import plain
 
 #: Points of a figure that show their values under the pointer.
@@ -32,14 +40,17 @@ _MAX_DOTS = 1500
 _MAX_THUMBNAIL = 30_000
 
 
-#: Size of words on pages as narrow as a phone, in a figure's own units (report.css),
-#: the least distance of numbers, and how far words may stand out [pt].
-_NARROW, _APART, _MARGIN = 12.0, 5.0, 16.0
+#: The least distance of numbers on pages as narrow as a phone, and how far words may
+#: stand out there [pt].
+_APART, _MARGIN = 5.0, 16.0
 #: Words of an SVG that are not turned: size, anchor if any, place, content.
 _WORDS = re.compile(
     r'<text style="font-size: ([\d.]+)px;(?:[^"]*text-anchor: (\w+))?[^"]*"'
     r' x="([-\d.]+)" y="[-\d.]+">([^<]*)<'
 )
+
+#: A group of an SVG that holds nothing.
+_EMPTY = r"<g(?: [^>]*)?/>|<g(?: [^>]*[^/>])?>\s*</g>"
 
 #: Markers as characters, filled and hollow.
 _CHARACTERS = {
@@ -134,7 +145,9 @@ def _mark_crowded(figure: Figure) -> None:
         for k, axis in enumerate((axes.xaxis, axes.yaxis)):
             last = -np.inf
             for place, label in _numbers(axis, k):
-                size = 0.62 * _NARROW * len(label.get_text()) if k == 0 else _NARROW
+                size: float = NARROW_WORDS
+                if k == 0:
+                    size *= 0.62 * len(label.get_text())
                 if place - size / 2 < last + _APART:
                     label.set_gid("crowded")
                 else:
@@ -146,7 +159,8 @@ def _is_wide(svg: str, width: float) -> bool:
     there it keeps its size, and is moved sideways.
     """
     for size, anchor, x, text in _WORDS.findall(svg):
-        larger = _NARROW if float(size) >= 9 else _NARROW - 1
+        is_small = float(size) < SMALL_BELOW
+        larger = NARROW_SMALL_WORDS if is_small else NARROW_WORDS
         long = 0.55 * larger * len(text.strip())
         left = float(x) - {"middle": 0.5, "end": 1.0}.get(anchor, 0.0) * long
         if left < -_MARGIN or left + long > width + _MARGIN:
@@ -211,7 +225,7 @@ def _small(svg: str) -> str:
     )
     previous = ""
     while svg != previous:
-        previous, svg = svg, re.sub(r"<g[^>]*>\s*</g>", "", svg)
+        previous, svg = svg, re.sub(_EMPTY, "", svg)
     return svg
 
 
@@ -244,11 +258,17 @@ def _adapt(svg: str, decimals: int) -> str:
         "xlink:href", "href"
     )
     svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", svg)
+    # Marks, whose paths have a name, would become squares or nothing.
+    fine = r"(\.\d\d)\d+"
     cut = rf"(\.\d{{{decimals}}})\d+" if decimals else r"()\.\d+"
     for drawn, variable in VARIABLES.items():
         svg = svg.replace(f": {drawn}", f": var(--{variable})")
-    svg = re.sub(r' d="[^"]*"', lambda path: re.sub(cut, r"\1", path[0]), svg)
-    svg = re.sub(r"<use [^>]*>", lambda use: re.sub(r"(\.\d\d)\d+", r"\1", use[0]), svg)
+    svg = re.sub(
+        r'(<path id="[^"]*")? d="[^"]*"',
+        lambda path: re.sub(fine if path[1] else cut, r"\1", path[0]),
+        svg,
+    )
+    svg = re.sub(r"<use [^>]*>", lambda use: re.sub(fine, r"\1", use[0]), svg)
     return re.sub(r">\s+<", "><", re.sub(r"\n\s*", " ", svg))
 
 
