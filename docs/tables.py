@@ -37,6 +37,7 @@ def _tables() -> dict[str, Mapping[str, Field]]:
     return {
         "fields of a study": fields.STUDY,
         "fields of at": fields.AT,
+        "fields of figures": fields.BESIDE,
         "fields of want": fields.WANT,
         "fields of limits": fields.LIMITS,
         "fields of a range": fields.RANGE,

@@ -14,7 +14,7 @@ import pandas as pd
 from gaitsweep.pipeline.outcomes import ANSWERS, count, count_rows
 from gaitsweep.pipeline.report.cells import Cell, cell, column_cells
 from gaitsweep.pipeline.report.figures import landmarks as places
-from gaitsweep.pipeline.report.figures import measured
+from gaitsweep.pipeline.report.figures import measured, tolerances
 from gaitsweep.pipeline.report.figures.starts import addresses
 from gaitsweep.pipeline.report.figures.style import spread_evenly
 from gaitsweep.pipeline.report.source import Source
@@ -235,6 +235,7 @@ def _result(source: Source, name: str, frame: pd.DataFrame) -> Table:
     if name.startswith("fits/"):
         return _fit(name, frame)
     if name == "special_points":
+        frame = tolerances.special_points(source)
         table = named(name, frame, True)
         return replace(table, gaits=addresses(source, frame.head(len(table.rows))))
 

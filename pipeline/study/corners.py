@@ -93,6 +93,12 @@ def _corners(study: Study) -> Iterator[tuple[int, Definition, dict[str, float]]]
             yield number, walker, dict(zip(names, corner, strict=True))
 
 
+def parameters(study: Study) -> Iterator[dict[str, Any]]:
+    """The tables of its walkers at the corners of the grid."""
+    for _, walker, values in _corners(study):
+        yield _checked(study, walker, line_of(walker, values)["set"])["parameters"]
+
+
 def notes(study: Study) -> list[str]:
     """What a user may not know of the walkers of a study: keys that move a tuned one
     off the static conditions.

@@ -28,6 +28,7 @@ from gaitsweep.pipeline.study.values import (
     Slope,
     Table,
     Text,
+    Tolerance,
     Value,
     ViolationLimits,
     Whole,
@@ -96,6 +97,12 @@ def _keys_of_walkers() -> tuple[str, ...]:
     return tuple(name for name in axis_names() if name != "slope")
 
 
+def _differentiated() -> tuple[str, ...]:
+    """Names of what gaits are differentiated by: the slope, and keys."""
+    names = dispatch.resolve("gaitsweep.tasks.walkers.walker:DIFFERENTIATED")
+    return tuple(names)
+
+
 def _objectives() -> tuple[str, ...]:
     """Names of what may be least or largest: variables, the slope and keys."""
     return (*nameable(), *axis_names())
@@ -129,6 +136,7 @@ _VALUES: dict[str, Value] = {
     "n": Whole(MAX_VALUES),
     "spacing": Either(lambda: ("linear", "log")),
     "tolerance": Number(1e-6, 0.1),
+    "tolerances": Table(_differentiated, Tolerance(), ("tolerances", "key")),
     "file": Text(r"[^/].*", "a path relative to the study"),
     "number": Number(),
     "positive": Number(0, without_low=True),
@@ -194,8 +202,8 @@ def value_of(
 
 #: Fields of a study, of its tables, of axes that are no lists, and of measurements.
 STUDY, WANT, RANGE, OVERLAY = map(_fields, ("study", "want", "range", "overlay"))
-#: Fields of `at`, besides the measure.
-AT = _fields("at")
+#: Fields of `at`, besides the measure, and of what figures show beside gaits.
+AT, BESIDE = _fields("at"), _fields("figures")
 LIMITS = _fields("limits", vars(Limits()))
 #: Options of each kind of study.
 OPTIONS: dict[str, dict[str, Field]] = {

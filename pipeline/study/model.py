@@ -147,8 +147,9 @@ class Study:
     `walkers` are names or tables and `names` their labels; `axes` keep the order of the
     file; `walker_axis` is whether walkers are a dimension; `checks` holds the
     properties of each walker that `tasks` reports; `overlay` are the user's
-    measurements, columns of shape (n,); `accuracy` is the largest error bound wanted, 0
-    for as good as doubles give.
+    measurements, columns of shape (n,); `tolerances` of keys are numbers, or percentages
+    as they are written; `accuracy` is the largest error bound wanted, 0 for as good as
+    doubles give.
     """
 
     name: str
@@ -168,6 +169,7 @@ class Study:
     names: tuple[str, ...] = ("walker",)
     checks: tuple[dict[str, Any], ...] = ()
     overlay: Mapping[str, np.ndarray] = field(default_factory=dict)
+    tolerances: Mapping[str, float | str] = field(default_factory=dict)
     accuracy: float = 0.0
 
     @property

@@ -17,6 +17,7 @@ from gaitsweep.pipeline.study import axes as axes_of_studies
 from gaitsweep.pipeline.study import options, overlay, rules, target, want
 from gaitsweep.pipeline.study.corners import check_walkers
 from gaitsweep.pipeline.study.fields import (
+    BESIDE,
     LIMITS,
     OVERLAY,
     STUDY,
@@ -77,9 +78,7 @@ def parse(
 
     walkers = _walkers(table.get("walker"), path, top.at("walker"))
     gaits = _gaits(table, top)
-    wants = _table(table.get("want", {}), WANT, top.at("want"))
-    wanted = want.read(wants, accuracy, top.at("want"), grid.options.get("at"))
-    results: dict[str, Any] = {**wanted}
+    results = _results(table, accuracy, grid, top)
 
     study = Study(
         name=value_of(STUDY, "name", table, top),
@@ -97,10 +96,25 @@ def parse(
         **results,
     )
     _check(study, grid, top)
-    study = _with_checks(study, wants, top, grid.toward_at)
+    study = _with_checks(study, table.get("want", {}), top, grid.toward_at)
 
-    measured = _measurements(table.get("figures", {}), study, top.at("figures"))
+    measured = _measurements(table, study, top.at("figures"))
     return replace(study, overlay=measured)
+
+
+def _results(
+    table: Mapping[str, Any], accuracy: float, grid: "_Grid", top: Location
+) -> dict[str, Any]:
+    """What a study wants, and the tolerances of keys that its figures show."""
+    location, at = top.at("want"), grid.options.get("at")
+    wants = _table(table.get("want", {}), WANT, location)
+    place = top.at("figures")
+    beside = _beside(table, place)
+
+    return {
+        **want.read(wants, accuracy, location, at),
+        "tolerances": value_of(BESIDE, "tolerances", beside, place) or {},
+    }
 
 
 def _check(study: Study, grid: "_Grid", top: Location) -> None:
@@ -253,22 +267,25 @@ def _limits(table: Mapping[str, Any], top: Location) -> Limits:
     return Limits(**{name: value_of(LIMITS, name, limits, location) for name in LIMITS})
 
 
-def _measurements(
-    value: object, study: Study, location: Location
-) -> dict[str, np.ndarray]:
-    """The user's measurements, if the study names a file of them."""
+def _beside(table: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
+    """What a study's figures show beside the computed gaits."""
+    value = table.get("figures", {})
     if isinstance(value, list):
         raise location.wrong(
             "must be a table; names of figures belong to `[want]`", value
         )
-    if not isinstance(value, Mapping):
-        raise location.wrong("must be a table", value)
+    return _table(value, BESIDE, location)
 
-    location.check_names(value, ("overlay",), "key")
-    if "overlay" not in value:
+
+def _measurements(
+    table: Mapping[str, Any], study: Study, location: Location
+) -> dict[str, np.ndarray]:
+    """The user's measurements, if the study names a file of them."""
+    beside = _beside(table, location)
+    if "overlay" not in beside:
         return {}
 
-    entry = _table(value["overlay"], OVERLAY, location.at("overlay"))
+    entry = _table(beside["overlay"], OVERLAY, location.at("overlay"))
     place = location.at("overlay", "file")
     file = OVERLAY["file"].value.read(entry.get("file"), place)
     return overlay.read(file, study, place)

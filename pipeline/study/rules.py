@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TypeAlias
 
 from gaitsweep.pipeline.errors import StudyError
-from gaitsweep.pipeline.study import slopes, target
+from gaitsweep.pipeline.study import slopes, target, tolerances
+from gaitsweep.pipeline.study.corners import parameters
 from gaitsweep.pipeline.study.fields import WANT
 from gaitsweep.pipeline.study.location import Location
 from gaitsweep.pipeline.study.model import Study
@@ -385,6 +386,53 @@ def _targets_are_of_gaits_of_a_grid(
             )
 
 
+def _tolerances_have_derivatives(study: Study, top: Location) -> Iterator[StudyError]:
+    """What follows from tolerances is known from derivatives by keys."""
+    if not study.tolerances:
+        return
+
+    place = top.at("figures", "tolerances")
+    if study.kind == "grid":
+        if not any(VARIABLES[n].group == SENSITIVITIES for n in study.variables):
+            yield place.error(
+                f"`tolerances` need derivatives by keys: add `{SENSITIVITIES}` to the "
+                "`variables` of `[want]`"
+            )
+    elif study.kind != "branch":
+        yield place.error(
+            "`tolerances` are of gaits of a grid, or of special points of branches; "
+            f"this study is a `{study.kind}`"
+        )
+    elif not study.options.get("sensitivities"):
+        yield place.error(
+            "`tolerances` need derivatives by keys: add `sensitivities = true` to "
+            "`[options]`"
+        )
+    elif "slope" in study.tolerances:
+        yield place.error("Special points have slopes, and no tolerance of them")
+
+
+def _tolerances_are_of_keys_of_walkers(
+    study: Study, top: Location
+) -> Iterator[StudyError]:
+    """Tolerances are of keys that a walker has, and percentages of what is not 0."""
+    if not study.tolerances:
+        return
+
+    place = top.at("figures", "tolerances")
+    tables = list(parameters(study))
+    for key, tolerance in study.tolerances.items():
+        axes = [axis.values for axis in study.axes if axis.name == key]
+        values = [table[key] for table in tables if key in table]
+        values += [value for axis in axes for value in axis.tolist()]
+        if not values:
+            yield place.at(key).error(f"No walker of this study has a `{key}`")
+        if tolerances.is_percentage(tolerance) and 0 in values:
+            yield place.at(key).error(
+                f"`{key}` = {str(tolerance)!r} is a percentage of 0: give a number"
+            )
+
+
 def is_of_one_step(name: str) -> bool:
     """Whether something that may be wanted is known of gaits of one step only."""
     about = VARIABLES.get(name)
@@ -418,8 +466,10 @@ RULES: tuple[Rule, ...] = (
     _several_steps_have_no_laws,
     _slopes_are_differentiated_over_slopes,
     _targets_are_of_gaits_of_a_grid,
+    _tolerances_have_derivatives,
 )
 RULES_OF_WALKERS: tuple[Rule, ...] = (
     _level_ground_needs_a_drive,
     _what_is_turned_has_inertia,
+    _tolerances_are_of_keys_of_walkers,
 )

@@ -82,7 +82,7 @@ def _study() -> Schema:
         "want": _table(fields.WANT),
         "limits": _table(fields.LIMITS),
         "options": table(_of_all_kinds()),
-        "figures": table({"overlay": _table(fields.OVERLAY, ["file"])}),
+        "figures": _beside(),
     }
     known = {name: _described(field) for name, field in fields.STUDY.items()}
     for name, schema in holds.items():
@@ -90,6 +90,13 @@ def _study() -> Schema:
     conditions = [_of_kind(kind) for kind in fields.OPTIONS]
     conditions.append({"anyOf": [{"required": ["at"]}, _NEEDS_SLOPE]})
     return {**table(known, ["name", "walker"]), "allOf": conditions}
+
+
+def _beside() -> Schema:
+    """What figures show beside the computed gaits."""
+    known = {name: _described(field) for name, field in fields.BESIDE.items()}
+    known["overlay"] |= _table(fields.OVERLAY, ["file"])
+    return table(known)
 
 
 #: What a study has whose gaits are at slopes.

@@ -352,6 +352,33 @@ class Memory(Value):
         return f"{default >> 30} GiB"
 
 
+#: A percentage as a study writes it.
+_PERCENTAGE = r"([0-9]+(?:\.[0-9]*)?) ?%"
+
+
+class Tolerance(Value):
+    """By how much a number may be off: in its units, or as a percentage of its size."""
+
+    words = 'number above 0, or a percentage, as "1%"'
+
+    def read(self, value: Any, place: Location) -> float | str:
+        """Check a tolerance, and return it as it is given."""
+        if isinstance(value, str):
+            match = re.fullmatch(_PERCENTAGE, value)
+            size = float(match[1]) if match else 0.0
+        else:
+            size = place.number(value)
+        if not 0 < size <= LARGEST:
+            raise place.wrong(f"must be a {self.words}", value)
+        return value if isinstance(value, str) else size
+
+    @property
+    def schema(self) -> Schema:
+        """A number, or a text."""
+        number = {"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST}
+        return {"anyOf": [number, {"type": "string", "pattern": f"^{_PERCENTAGE}$"}]}
+
+
 class Flag(Value):
     """Whether something holds."""
 

@@ -3,7 +3,8 @@ fulfils another one too, or where two keys at a fixed slope do.
 
 Along the curve the other condition's scalar changes sign; Newton's method on both
 conditions leads to the point. A cusp, which has no scalar of its own, is where both of a
-curve of folds turn at once. Names and conditions are those of Y. A. Kuznetsov,
+curve of folds turn at once; where a coefficient of a normal form vanishes is found in
+`tasks.branches.degenerate_forms`. Names and conditions are those of Y. A. Kuznetsov,
 Elements of Applied Bifurcation Theory, chapter 9. In shapes, u counts unknowns X, p the
 points of a curve.
 """
@@ -20,9 +21,15 @@ from numpy import ndarray
 
 from gaitsweep.tasks.branches.conditions import CONDITIONS, DEGENERATE, Condition
 from gaitsweep.tasks.branches.curves import follow_both_directions, turning, walks
+from gaitsweep.tasks.branches.degenerate_forms import (
+    UNKNOWN,
+    Bounded,
+    bounded,
+    degeneracies,
+)
 from gaitsweep.tasks.branches.equations import Equations, errors, solve
 from gaitsweep.tasks.branches.pseudo_arclength import CLOSED, Point
-from gaitsweep.tasks.branches.root import hermite
+from gaitsweep.tasks.branches.root import hermite, nearest_to_zero
 from gaitsweep.tasks.mechanics.arrays import Gait, Numbers
 from gaitsweep.tasks.step.problem import EPS
 from gaitsweep.tasks.step.sameness import SAME_GAIT, same
@@ -77,8 +84,8 @@ class Meeting:
     name : str
         Of the codimension-two point.
     meets : str
-        The other condition; empty of a cusp, and where that is of curves of one kind
-        only.
+        The other condition; empty of a cusp, where that is of curves of one kind only,
+        and where a coefficient vanishes.
     X : ndarray, shape (u,)
     error : ndarray, shape (2,)
         Bounds on the errors of its last two unknowns: ln slope and a key, or two keys.
@@ -123,6 +130,8 @@ class Followed(NamedTuple):
     kind : str
         The condition's name in tables.
     points : ndarray, shape (p, u)
+    bounds : list of Bounded
+        What is known of each point.
     stopped : tuple of str
         Why it was followed no further at its first and at its last point.
     turnings : list of Turning
@@ -132,6 +141,7 @@ class Followed(NamedTuple):
     equations: Equations
     kind: str
     points: ndarray
+    bounds: list[Bounded]
     stopped: tuple[str, str]
     turnings: list[Turning]
     meetings: list[Meeting]
@@ -160,23 +170,49 @@ def followed(
     others : mapping
         Conditions that it may meet, by their names; its own is passed over.
     """
-    points, tangents, stopped = follow_both_directions(equations, first, window)
-    low, high = 0, len(points)
-    (own,) = equations.conditions
-    if own.kind.critical == "pair":
-        is_pair = _has_pair(equations, points)
-        if stopped[0] == CLOSED and not is_pair.all():
-            order = _opened(is_pair)
-            points, tangents, is_pair = points[order], tangents[order], is_pair[order]
-        low, high = _run(is_pair, _place_of(first.Z[:, 0], points))
-
-    others = {**others, **DEGENERATE.get(own.name, {})}
-    every = list(meetings(equations, points, tangents, kind, others))
-    within = [each for each in every if low - 1 <= each.segment < high]
+    points, tangents, stopped, (low, high) = _genuine(equations, first, window)
     part = slice(low, high)
+
+    every = meetings(equations, points, tangents, kind, others)
+    within = [each for each in every if low - 1 <= each.segment < high]
     turned, cusps = turnings(equations, points[part], tangents[part])
-    points, stopped = _with_ends(points, low, high, stopped, within)
-    return Followed(equations, kind, points, stopped, turned, [*cusps, *within])
+
+    known = [UNKNOWN] * len(points)
+    known[part] = [bounded(equations, X) for X in points[part]]
+    vanishing = degeneracies(equations, points, tangents, known)
+    found = [*cusps, *within, *itertools.starmap(_vanishing, vanishing)]
+
+    begin, end, stopped = _ends(points, low, high, stopped, within)
+    at_begin = [bounded(equations, X) for X in begin]
+    at_end = [bounded(equations, X) for X in end]
+    known = [*at_begin, *known[part], *at_end]
+    points = np.vstack([begin, points[part], end])
+    return Followed(equations, kind, points, known, stopped, turned, found)
+
+
+def _vanishing(name: str, X: Gait, error: ndarray, segment: int) -> Meeting:
+    """The point at which a coefficient vanishes."""
+    return Meeting(name, "", X, error, segment)
+
+
+def _genuine(
+    equations: Equations, first: Point, window: ndarray
+) -> tuple[ndarray, ndarray, tuple[str, str], tuple[int, int]]:
+    """A curve in both directions from a point: its points (p, u), the tangents there, why
+    it was followed no further, and the first and one past the last number of those
+    points about the first one that are of its kind.
+    """
+    points, tangents, stopped = follow_both_directions(equations, first, window)
+    (own,) = equations.conditions
+    if own.kind.critical != "pair":
+        return points, tangents, stopped, (0, len(points))
+
+    is_pair = _has_pair(equations, points)
+    if stopped[0] == CLOSED and not is_pair.all():
+        order = _opened(is_pair)
+        points, tangents, is_pair = points[order], tangents[order], is_pair[order]
+    place = _place_of(first.Z[:, 0], points)
+    return points, tangents, stopped, _run(is_pair, place)
 
 
 def _has_pair(equations: Equations, points: ndarray) -> ndarray:
@@ -210,28 +246,28 @@ def _run(is_pair: ndarray, start: int) -> tuple[int, int]:
     return low, high
 
 
-def _with_ends(
+def _ends(
     points: ndarray,
     low: int,
     high: int,
     stopped: tuple[str, str],
     within: Sequence[Meeting],
-) -> tuple[ndarray, tuple[str, str]]:
-    """The points of a curve from `low` to before `high`, with the resonances at which
-    this part ends, and why it was followed no further.
+) -> tuple[ndarray, ndarray, tuple[str, str]]:
+    """The resonances at which the part of a curve from `low` to before `high` begins and
+    ends, both (0, u) or (1, u), and why it was followed no further.
     """
     resonances = {each.segment: each for each in within if each.name in _RESONANCES}
     reasons = [stopped[0], stopped[1]]
-    parts = [points[low:high]]
+    ends = [points[:0], points[:0]]
     for end, segment in ((0, low - 1), (1, high - 1)):
         if not 0 <= segment < len(points) - 1:
             continue
         reasons[end] = _OTHER_MULTIPLIERS
         if segment in resonances:
             reasons[end] = resonances[segment].name
-            parts.insert(end * len(parts), resonances[segment].X[None])
+            ends[end] = resonances[segment].X[None]
 
-    return np.vstack(parts), (reasons[0], reasons[1])
+    return ends[0], ends[1], (reasons[0], reasons[1])
 
 
 def met(conditions: Mapping[str, Condition], has_knees: bool) -> dict[str, Condition]:
@@ -313,7 +349,8 @@ def meetings(
     kind : str
         Its condition's name.
     others : mapping
-        Conditions that it may meet, by their names; its own is passed over.
+        Conditions that it may meet besides those that only curves of its kind do, by
+        their names; its own is passed over.
 
     Notes
     -----
@@ -326,7 +363,7 @@ def meetings(
     own_names = DEGENERATE.get(own.name, {})
     curve = _Cubics(points, tangents)
     at = equations.evaluate(curve.at(curve.samples))
-    for name, other in others.items():
+    for name, other in {**others, **own_names}.items():
         if other.value is own.value or {own.name, name} in _WITHOUT_SCALARS:
             continue
 
@@ -400,7 +437,7 @@ def _refined(
     """
     places, off = _known(places, off)
     for _ in range(_REFINEMENTS):
-        nearest = _nearest_to_zero(places, off)
+        nearest = nearest_to_zero(places, off)
         gaps = np.abs(nearest[:, None] - places).min(axis=1, initial=np.inf)
         nearest = np.unique(nearest[gaps > _APART])
         if not len(nearest):
@@ -418,25 +455,6 @@ def _known(places: ndarray, off: ndarray) -> tuple[ndarray, ndarray]:
     """Places at which a scalar is known, and its values."""
     is_known = np.isfinite(off)
     return places[is_known], off[is_known]
-
-
-def _nearest_to_zero(x: ndarray, off: ndarray) -> ndarray:
-    """Where parabolas through three neighbouring values of one sign are nearest to zero,
-    if it is between them.
-    """
-    if len(x) < 3:
-        return x[:0]
-
-    rise = np.diff(off) / np.diff(x)
-    bend = np.diff(rise) / (x[2:] - x[:-2])
-    middle = 0.5 * (x[:-2] + x[1:-1])
-    signs = np.sign(off)
-    is_one_sign = (signs[:-2] == signs[1:-1]) & (signs[1:-1] == signs[2:])
-    opens = is_one_sign & (bend * off[1:-1] > 0)
-
-    lowest = middle[opens] - 0.5 * rise[:-1][opens] / bend[opens]
-    is_between = (lowest > x[:-2][opens]) & (lowest < x[2:][opens])
-    return np.asarray(lowest[is_between])
 
 
 def _solved(both: Equations, guess: Gait, length: float) -> Gait | None:

@@ -104,6 +104,32 @@ def _next_share(
     return 0.5
 
 
+def nearest_to_zero(x: ndarray, off: ndarray) -> ndarray:
+    """Return where parabolas through three neighbouring values of one sign are nearest
+    to zero, if it is between them.
+
+    Parameters
+    ----------
+    x, off : ndarray, shape (n,)
+    """
+    if len(x) < 3:
+        return x[:0]
+
+    rise = np.diff(off) / np.diff(x)
+    bend = np.diff(rise) / (x[2:] - x[:-2])
+    middle = 0.5 * (x[:-2] + x[1:-1])
+    signs = np.sign(off)
+    is_first_alike = signs[:-2] == signs[1:-1]
+    is_last_alike = signs[1:-1] == signs[2:]
+    opens = is_first_alike & is_last_alike
+    opens &= bend * off[1:-1] > 0
+
+    lowest = middle[opens] - 0.5 * rise[:-1][opens] / bend[opens]
+    is_between = lowest > x[:-2][opens]
+    is_between &= lowest < x[2:][opens]
+    return np.asarray(lowest[is_between])
+
+
 #: Points of curves and the unit tangents there, both (n,) or (n, k).
 OnCurve = tuple[ndarray, ndarray]
 

@@ -10,13 +10,8 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks.branches.curves import walks
-from gaitsweep.tasks.branches.equations import Equations
-from gaitsweep.tasks.branches.normal_forms import (
-    NONE,
-    NormalForm,
-    has_form,
-    normal_form,
-)
+from gaitsweep.tasks.branches.meetings import Followed
+from gaitsweep.tasks.branches.normal_forms import NormalForm
 from gaitsweep.tasks.step.problem import Problem
 
 #: Columns of a normal form.
@@ -24,45 +19,30 @@ FORM = ("normal_form", "normal_form_error", "criticality")
 
 
 def rows(
-    head: tuple[Any, ...],
-    equations: Equations,
-    points: np.ndarray,
-    stopped: tuple[str, str],
+    number: int,
+    curve: Followed,
     place: Callable[[np.ndarray], tuple[Any, ...]],
 ) -> Iterator[tuple[Any, ...]]:
     """Yield the rows of a curve's points.
 
     Parameters
     ----------
-    head : tuple
-        First columns of all.
-    equations : Equations
+    number : int
         Of the curve.
-    points : ndarray, shape (p, u)
-    stopped : (str, str)
-        Why the curve ends at its first and at its last point.
+    curve : Followed
     place : callable
-        What is said of a point (u,), the bound on the error of its slope last.
+        What is said of a point (u,) before the bound on the error of its slope.
     """
-    (condition,) = equations.conditions
-    kind = condition.name
-    reasons = [""] * len(points)
-    reasons[0] = stopped[0]
-    reasons[-1] = stopped[1]
+    (condition,) = curve.equations.conditions
+    reasons = [""] * len(curve.points)
+    reasons[0] = curve.stopped[0]
+    reasons[-1] = curve.stopped[1]
 
-    for X, reason in zip(points, reasons, strict=True):
-        is_step = int(walks(equations, X))
-        placed = place(X)
-        error = float(placed[-1])
-
-        form = NONE
-        if has_form(kind):
-            lane = X[:, None]
-            Z, _ = equations.split(lane)
-            problem = equations.problem_at(lane).alone(0)
-            form = normal_form(problem, kind, Z[:, 0], error)
-        columns = form_columns(kind, form)
-        yield (*head, *placed, *columns, is_step, reason)
+    for X, known, reason in zip(curve.points, curve.bounds, reasons, strict=True):
+        is_step = int(walks(curve.equations, X))
+        columns = form_columns(condition.name, known.form)
+        placed = (*place(X), known.error)
+        yield (number, curve.kind, *placed, *columns, is_step, reason)
 
 
 def form_columns(kind: str, form: NormalForm) -> tuple[float, float, str]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +24,6 @@ from gaitsweep.tasks.branches.equations import (
     Equations,
     Keys,
     correct_on_curve,
-    slope_error,
 )
 from gaitsweep.tasks.branches.meetings import Followed, followed, met
 from gaitsweep.tasks.branches.special_points import RATES, special_points
@@ -35,7 +33,7 @@ from gaitsweep.tasks.measures.levels import LEVEL, level
 from gaitsweep.tasks.measures.names import check_measure
 from gaitsweep.tasks.measures.onsets import ONSET, onsets
 from gaitsweep.tasks.measures.passed import Curve, Sampled
-from gaitsweep.tasks.step.problem import EPS, Problem
+from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
 from gaitsweep.tasks.studies.curve_rows import FORM, rows, start_and_period
 from gaitsweep.tasks.studies.follow_over_keys import curves_over_keys
@@ -236,18 +234,15 @@ def _is_among(seen: list[tuple[str, ndarray]], kind: str, X: ndarray) -> bool:
     return any(kind == other and same(X, Y, SAME_POINT) for other, Y in seen)
 
 
-def _placed(equations: Equations, window: _Window, X: ndarray) -> tuple[Any, ...]:
-    """Columns from `slope` to `error_bound` of a point of a curve."""
-    return (*_place(equations, X, window), _error(equations, X, window))
-
-
 def _curve_rows(
     number: int, curve: Followed, window: _Window
 ) -> Iterator[tuple[Any, ...]]:
     """Rows of the points of a curve."""
-    placed = partial(_placed, curve.equations, window)
-    head = number, curve.kind
-    return rows(head, curve.equations, curve.points, curve.stopped, placed)
+
+    def place(X: ndarray) -> tuple[Any, ...]:
+        return _place(curve.equations, X, window)
+
+    return rows(number, curve, place)
 
 
 def _turning_rows(
@@ -312,16 +307,6 @@ def _place(equations: Equations, X: ndarray, window: _Window) -> tuple[Any, ...]
     problem = equations.problem_at(X[:, None])
     gait = start_and_period(problem, window.inside(X)[:-1], time_unit)
     return (slope, window.keys.names[0], value, *gait)
-
-
-def _error(equations: Equations, X: ndarray, window: _Window) -> float:
-    """Bound on the relative error of a point's slope, at its value of the key; infinite
-    where the key turns.
-    """
-    (condition,) = equations.conditions
-    problem = equations.problem_at(X[:, None]).alone(0)
-    Z = window.inside(X)[:-1]
-    return slope_error(problem, condition, Z) + 8 * EPS
 
 
 def _seeds(

@@ -21,13 +21,11 @@ from gaitsweep.tasks.branches.equations import (
     Equations,
     Keys,
     correct_on_curve,
-    slope_error,
 )
 from gaitsweep.tasks.branches.meetings import Followed, followed, met
 from gaitsweep.tasks.branches.special_points import RATES
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.measures.passed import Curve, Sampled
-from gaitsweep.tasks.step.problem import EPS
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
 from gaitsweep.tasks.studies.curve_rows import FORM, rows, start_and_period
 from gaitsweep.tasks.studies.gaits_over_key import (
@@ -224,26 +222,11 @@ def _place(plane: _Plane, equations: Equations, X: np.ndarray) -> tuple[Any, ...
     return (plane.slope, plane.names[0], value, plane.names[1], other, *gait)
 
 
-def _place_and_error(
-    plane: _Plane, equations: Equations, X: np.ndarray
-) -> tuple[Any, ...]:
-    """Place of a point, and a bound on the relative error of the slope; of the slope
-    itself on level ground.
-    """
-    problem = equations.problem_at(X[:, None]).alone(0)
-    Z, _ = equations.split(X[:, None])
-    (condition,) = equations.conditions
-    error = slope_error(problem, condition, Z[:, 0]) + 8 * EPS
-    return (*_place(plane, equations, X), error)
-
-
 def _curve_rows(
     number: int, plane: _Plane, curve: Followed
 ) -> Iterator[tuple[Any, ...]]:
     """Rows of the points of a curve."""
-    placed = partial(_place_and_error, plane, curve.equations)
-    head = number, curve.kind
-    return rows(head, curve.equations, curve.points, curve.stopped, placed)
+    return rows(number, curve, partial(_place, plane, curve.equations))
 
 
 def _meeting_rows(

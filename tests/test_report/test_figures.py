@@ -488,7 +488,7 @@ def test_a_codimension_two_point_of_two_curves_is_named_once(tmp_path):
         read(write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables))
     )
     where = "fold-flip at detuning 0.15, slope 0.015 rad"
-    assert any(f"at once: {where}." in words for words in sketch.words)
+    assert any(f"Codimension-two points: {where}." in words for words in sketch.words)
     assert [words.get_text() for words in sketch.panels[0].texts] == ["fold-flip"]
     (marks,) = [each for each in sketch.marks if each.label == "fold-flip"]
     assert marks.rows["command"].str.contains("--set detuning=0.15").all()
@@ -509,7 +509,7 @@ def test_over_two_keys_a_codimension_two_point_lies_at_both(tmp_path):
     )
 
     where = "cusp at detuning 0.15, R 0.25, slope 0.01 rad"
-    assert any(f"at once: {where}." in words for words in sketch.words)
+    assert any(f"Codimension-two points: {where}." in words for words in sketch.words)
     (label,) = sketch.panels[0].texts
     assert label.xy == (0.25, 0.15)
     assert any(words.startswith("Neimark–Sacker points over") for words in sketch.words)

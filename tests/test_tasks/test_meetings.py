@@ -69,6 +69,15 @@ def test_both_curves_have_the_fold_flip(near_a):
     agree(fold, flip)
 
 
+def test_a_pole_of_the_coefficient_is_no_generalised_flip(near_a):
+    """Which the flips of both sides of a fold-flip have: their sign changes there."""
+    is_flip = near_a["curves/kind"] == "flip"
+    b = near_a["curves/normal_form"][is_flip]
+
+    assert (np.sign(b[1:]) != np.sign(b[:-1])).sum() == 1
+    assert set(near_a["meetings/point"]) == {"fold-flip"}
+
+
 def test_beside_a_fold_flip_multipliers_are_nearly_1_and_minus_1(near_a):
     """Gaits solved alone, a little above and below."""
     slope, value, *_ = meeting(near_a, "flip", "fold-flip")

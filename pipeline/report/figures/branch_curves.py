@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from gaitsweep.pipeline.report.figures import landmarks, measured
+from gaitsweep.pipeline.report.figures import landmarks, measured, tolerances
 from gaitsweep.pipeline.report.figures.sketch import TIPS, Sketch
 from gaitsweep.pipeline.report.figures.stability import add_borders
 from gaitsweep.pipeline.report.figures.style import (
@@ -119,6 +119,7 @@ def locus(source: Source, table: pd.DataFrame) -> Sketch:
         s="s" * (shown.count > 1),
         special=sum(map(len, shown.special)),
         reach=_reach(source),
+        **tolerances.told_of_points(source, pd.concat(shown.special)),
         abscissa=source.along,
         **source.words_along,
     )
@@ -166,7 +167,7 @@ def _bounded(data: pd.DataFrame) -> pd.DataFrame:
 
 def _data(source: Source, table: pd.DataFrame) -> _Branches:
     """The branches of some lines, evenly chosen, and their special points."""
-    special = source.tables.get("special_points", pd.DataFrame())
+    special = tolerances.special_points(source)
     if "kind" in special:  # where a branch leaves the window nothing happens
         special = special[special["kind"].astype(str) != "window"]
 
@@ -390,6 +391,7 @@ def _draw_special(
             **_mark(str(kind)),
         )
 
+    tolerances.draw_bars(axes, points)
     # At the slope where steps vanish there is none, however small the last one
     # followed.
     gaits = points.assign(

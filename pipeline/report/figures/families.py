@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from matplotlib.axes import Axes
 
-from gaitsweep.pipeline.report.figures import landmarks, measured
+from gaitsweep.pipeline.report.figures import landmarks, measured, tolerances
 from gaitsweep.pipeline.report.figures.sketch import TIPS, Sketch
 from gaitsweep.pipeline.report.figures.stability import add_borders
 from gaitsweep.pipeline.report.figures.style import (
@@ -81,6 +82,12 @@ class Quantity:
         is_loss = self.reads[0] == "loss_normal"
         return 1 - first / sum(others, start=first) if is_loss else first
 
+    @property
+    def measures(self) -> Sequence[str]:
+        """The measure that is drawn as it is against the slope, if one is."""
+        is_drawn = self.abscissa == "slope" and len(self.reads) == 1
+        return self.reads if is_drawn else ()
+
 
 QUANTITIES = {
     name: Quantity(words["heading"], **words["drawn"])
@@ -108,8 +115,8 @@ def quantity(name: str, source: Source) -> Sketch | None:
     laws = _draw_laws(sketch, axes, source, drawn) if shown.laws else {}
     # Shares of several losses are drawn, which no measurement of one of them can be
     # compared with.
-    if shown.abscissa == "slope" and len(shown.reads) == 1:
-        measured.draw(sketch, axes, source, shown.reads[0])
+    for name in shown.measures:
+        measured.draw(sketch, axes, source, name)
     if shown.origin:
         axes.set_xlim(left=0)
         axes.set_ylim(bottom=0)
@@ -120,6 +127,7 @@ def quantity(name: str, source: Source) -> Sketch | None:
         draw_guide(axes, float(at), words)
 
     values = _words(source, shown, drawn, data) | laws
+    values |= tolerances.told(source, drawn.places, shown.measures)
     return sketch.finish(lines=drawn.names, inks=drawn.inks, **values)
 
 
@@ -184,15 +192,18 @@ class _Lines(NamedTuple):
         short = [line.called or line.label for line in lines]
         return cls(lines, names, short, inks([line.called for line in lines]))
 
+    @property
+    def places(self) -> list[tuple[xr.Dataset, Mapping[str, Any]]]:
+        """The data of each line, and where it is."""
+        return [(line.data, line.at) for line in self.lines]
+
 
 def measurements(source: Source) -> Sketch | None:
     """Plot every measured variable against slope, with the curves and their
     measurements.
     """
     rows, lines = measured.table(source), source.lines
-    read = [line.curves(*measured.variables(source)) for line in lines]
-    known = {column for curves in read for curve in curves for column in curve}
-    variables = [name for name in measured.variables(source) if name in known]
+    variables = _drawable(lines, measured.variables(source))
     if not variables or "slope" not in rows:
         return None
 
@@ -202,13 +213,8 @@ def measurements(source: Source) -> Sketch | None:
         shown = Quantity(name, (name,), samples=1800)
         _draw_lines(sketch, axes, source, shown, drawn)
         measured.draw(sketch, axes, source, name)
-        sketch.mark(
-            axes,
-            rows,
-            "measured",
-            tips={"slope": "γ (rad)", name: spaced(name)},
-            y=name,
-        )
+        tips = {"slope": TIPS["slope"], name: spaced(name)}
+        sketch.mark(axes, rows, "measured", tips=tips, y=name)
         set_heading(axes, titled(name, source.units(name)))
 
     sketch.gait_keys()
@@ -220,7 +226,15 @@ def measurements(source: Source) -> Sketch | None:
         names=", ".join(variables),
         count=len(rows),
         worst=_worst_residuals(source),
+        **tolerances.told(source, drawn.places, variables),
     )
+
+
+def _drawable(lines: Sequence[Line], variables: Sequence[str]) -> list[str]:
+    """Those of some variables of which lines have curves."""
+    read = [line.curves(*variables) for line in lines]
+    known = {column for curves in read for curve in curves for column in curve}
+    return [name for name in variables if name in known]
 
 
 def _worst_residuals(source: Source) -> str:
@@ -241,15 +255,14 @@ def _draw_lines(
     sketch: Sketch, axes: Axes, source: Source, shown: Quantity, drawn: _Lines
 ) -> None:
     """Draw a quantity of every gait of some lines."""
-    known = TIPS | {"spectral_radius": "max |λ|"}
-    columns = ("slope", shown.abscissa, *shown.reads, *shown.shows)
-    tips = {column: known.get(column, spaced(column)) for column in columns}
     most = max(60, shown.samples // max(1, len(drawn.lines)))
-    for k, line in enumerate(drawn.lines):
+    for k, own in enumerate(drawn.lines):
+        data = tolerances.with_half_widths(source, own.data, own.at, shown.measures)
+        line, tips = replace(own, data=data), _tips(shown, data)
         how = _Drawn(line, k, drawn.names[k], drawn.inks[k], tips, shown)
         curves = [
             _with_value(curve, shown, most)
-            for curve in line.curves(*shown.reads, *shown.shows)
+            for curve in line.curves(*tips)
             if set(shown.reads) <= set(curve)
         ]
         gaits = dict.fromkeys(source.gaits)
@@ -257,6 +270,17 @@ def _draw_lines(
             gaits |= dict.fromkeys(curve["gait"])
         for gait, curve in itertools.product(gaits, curves):
             _draw_curve(sketch, axes, curve, gait, how)
+
+
+def _tips(shown: Quantity, data: xr.Dataset) -> dict[str, str]:
+    """What points of a line tell under the pointer, by the columns that hold it."""
+    known = TIPS | {"spectral_radius": "max |λ|"}
+    columns = ("slope", shown.abscissa, *shown.reads, *shown.shows)
+    tips = {column: known.get(column, spaced(column)) for column in columns}
+    for name in shown.measures:
+        if tolerances.half_width(name) in data:
+            tips[tolerances.half_width(name)] = f"± {known.get(name, spaced(name))}"
+    return tips
 
 
 class _Drawn(NamedTuple):
@@ -294,6 +318,8 @@ def _draw_curve(
     if points.empty:
         return
 
+    for measure in how.shown.measures:
+        tolerances.draw_band(axes, curve, gait, how.ink, how.number, x, y, measure)
     draw_gait(axes, curve, gait, how.ink, how.number, x, y)
     sketch.mark(
         axes,

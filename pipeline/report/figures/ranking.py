@@ -11,7 +11,14 @@ from matplotlib.axes import Axes
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import INK, inks
+from gaitsweep.pipeline.report.figures.tolerances import (
+    given,
+    in_words,
+    listed,
+    units_of_keys,
+)
 from gaitsweep.pipeline.report.source import Source
+from gaitsweep.pipeline.study.tolerances import size
 
 #: End of the names of derivatives.
 _BY_KEY = "_by_key"
@@ -28,10 +35,14 @@ _OF_LEG, _IN_SI, _OF_ANGLE, _OF_VALUE = 5e-4, 5e-4, 5e-4, 0.01
 
 @dataclass(frozen=True)
 class _Tolerances:
-    """How far the keys of a walker may be off."""
+    """How far the keys of a walker may be off: as the study says, which gives those of
+    some keys with their units; where it gives none, all keys by their kinds.
+    """
 
     walker: Mapping[str, Any]
     kinds: Mapping[str, str]
+    given: Mapping[str, float | str]
+    units: Mapping[str, str]
 
     @property
     def is_si(self) -> bool:
@@ -46,15 +57,22 @@ class _Tolerances:
 
     def of(self, key: str) -> float:
         """Tolerance of a key [the walker's units]."""
+        value = float(self.walker.get(key) or 0.0)
+        if self.given:
+            return size(self.given[key], value) if key in self.given else 0.0
+
         kind = self.kinds.get(key, "")
         if kind == "length":
             return self.length
         if kind == "angle":
             return _OF_ANGLE
-        return _OF_VALUE * abs(float(self.walker.get(key, 0.0)))
+        return _OF_VALUE * abs(value)
 
     def words(self, key: str) -> str:
         """A tolerance in words."""
+        if self.given:
+            return f"{in_words(self.given[key], self.units.get(key, ''))} in {key}"
+
         kind = self.kinds.get(key, "")
         if kind == "length":
             return f"{self.length_words} in {key}"
@@ -76,7 +94,7 @@ def sensitivities(source: Source) -> Sketch | None:
 
     kinds = units.kinds()
     each = {
-        name: _Tolerances(table, kinds)
+        name: _Tolerances(table, kinds, given(source), units_of_keys(source))
         for name, table in list(source.walkers.items())[:_MOST_WALKERS]
     }
     data = pd.DataFrame(_of_walkers(source.grid, each))
@@ -85,7 +103,8 @@ def sensitivities(source: Source) -> Sketch | None:
 
     first = data[data["measure"] == data["measure"].iloc[0]]
     sketch = _drawn(data, _ranked(first))
-    return sketch.finish(data.drop(columns="row"), **_told(data, first, each))
+    told = _told(data, first, each)
+    return sketch.finish(data.drop(columns="row"), given=listed(source), **told)
 
 
 def _told(
@@ -109,6 +128,8 @@ def _told(
         "walker": ", ".join(data["walker"].unique()),
         "length": ", ".join(dict.fromkeys(one.length_words for one in each.values())),
         "angle": _OF_ANGLE,
+        "ranked": True,
+        "by_kind": not any(one.given for one in each.values()),
     }
 
 
