@@ -323,8 +323,6 @@ class Study:
         ]
         axes = sorted(axes, key=len)[-2:]
         of_designs = self.kind == "design"
-        if of_designs and "drive" in self.features:
-            return None
         if not of_designs and len(axes) == 2 and len(axes[0]) < _MIN_ACROSS:
             del axes[0]
         plane = Plane(tuple(sorted(axes, key=lambda axis: axis.name)))

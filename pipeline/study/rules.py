@@ -231,6 +231,11 @@ def _level_ground_has_its_kinds(study: Study, top: Location) -> Iterator[StudyEr
     instead = "grids, orbits, basins and optima of driven walkers have gaits"
     if study.kind == "curve":
         instead = "curves are over a `plane` of two keys"
+    if study.kind == "design":
+        instead = (
+            "folds, flips and ends over `push_off` or `hip_torque` and another key are "
+            "followed in studies of kind `curve` with a `plane`"
+        )
     if study.kind in registry.OVER_DRIVE:
         instead = (
             "give an axis `push_off` or `hip_torque`, over which they are followed"

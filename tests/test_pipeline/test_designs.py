@@ -81,6 +81,22 @@ def test_every_design_belongs_to_one_job(tmp_path, walker, axes, batches):
             assert params["plane"]["keys"] == ["R", "m_s"]
 
 
+@pytest.mark.parametrize(
+    ("walker", "axes", "keys"),
+    [
+        ('{ base = "B", push_off = 0.05 }', PLANE, ["R", "m_s"]),
+        ('"B"', PLANE.replace("m_s", "push_off"), ["R", "push_off"]),
+    ],
+)
+def test_driven_walkers_on_slopes_have_planes_as_passive_ones_have(
+    walker, axes, keys, tmp_path
+):
+    study = read(written(tmp_path, walker, axes.format(n=25, m=20)))
+    assert study.along == "slope"
+    assert study.plane.region["keys"] == keys
+    assert study.batches == 2
+
+
 def test_a_plan_tells_what_designs_cost(tmp_path):
     few, many = (
         read(written(tmp_path, '"B"', PLANE.format(n=n, m=20))) for n in (5, 100)

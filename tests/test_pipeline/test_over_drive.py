@@ -456,7 +456,13 @@ def test_gaits_of_two_steps_are_followed_over_the_push_off(tmp_path):
             "Slopes must be all <= 0 where gaits are followed over `push_off`, or all > 0; "
             "got -0.01 and 0.01 (s.toml, axes.slope).",
         ),
-        ({"kind": "design"}, "in studies of kind `design`; got 0"),
+        (
+            {"kind": "design"},
+            "`slope` must lie in [1e-18, 0.5) rad in studies of kind `design`; got 0: on "
+            "level ground and uphill folds, flips and ends over `push_off` or "
+            "`hip_torque` and another key are followed in studies of kind `curve` with a "
+            "`plane` (s.toml, axes.slope).",
+        ),
         (
             {"want": {"claims": ["E2"]}},
             "`E2` is of gaits over slopes, and these are followed over `push_off`",

@@ -52,12 +52,14 @@ WINDOW = (float(np.log(1e-6)), float(np.log(0.45)))
 SOUGHT = Sought(WINDOW)
 #: Walker, and ranges of keys: beside a curve on which two flips meet; where fold and
 #: flip compete for the largest speed; where gaits continue to vanishing slopes; across
-#: a curve on which the smallest slope vanishes.
+#: a curve on which the smallest slope vanishes; up to faces at which nothing drives
+#: beside gravity.
 PLANES = {
     "A": ("A", {"detuning": (0.45, 0.65), "m_h": (0.0, 1.0)}),
     "C": ("C", {"detuning": (0.85, 1.0), "m_h": (0.0, 1.0)}),
     "B": ("B", {"R": (0.0, 0.1), "m_s": (0.03, 0.06)}),
     "tuned": ("A", {"R": (0.25, 0.32), "detuning": (0.15, 0.25)}),
+    "driven": ("D", {"push_off": (0.0, 0.02), "hip_stiffness": (0.0, 0.2)}),
 }
 
 
@@ -132,6 +134,19 @@ def test_the_planes_hold_what_they_are_chosen_for():
     assert 0 < faster.sum() < 24  # a fold's gait is faster than the flip's
     assert set(kinds["B"]["smallest_at"]) == {"any slope"}
     assert set(kinds["tuned"]["smallest_at"]) == {"fold"}
+
+
+def test_a_corner_where_nothing_drives_has_the_flip_of_the_passive_walker():
+    _, plane = designs("driven", 1)
+    corner = {"push_off": np.zeros(1), "hip_stiffness": np.zeros(1)}
+
+    found = computed({**plane, "line": {"walker": "D", "set": corner}})
+
+    (slope,), (bound,) = (
+        found[f"largest_stable_slope{ending}"] for ending in ("", "_error")
+    )
+    assert found["surveyed"].tolist() == [0]
+    assert abs(slope / 0.015088437941119463562 - 1) <= bound < 1e-9
 
 
 def test_a_design_does_not_depend_on_its_company():
