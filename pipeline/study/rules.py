@@ -417,6 +417,19 @@ def _tolerances_have_derivatives(study: Study, top: Location) -> Iterator[StudyE
         yield place.error("Special points have slopes, and no tolerance of them")
 
 
+def _costs_of_designs_are_of_gravity(
+    study: Study, top: Location
+) -> Iterator[StudyError]:
+    """What else drives a walker pays for its gaits, too."""
+    at_speed = study.options.get("at_speed") if study.kind == "design" else None
+    if at_speed is not None and study.is_driven:
+        yield top.at("options", "at_speed").wrong(
+            "must be left out of maps of walkers that more than gravity drives: their "
+            "cost of transport is not that of the slope alone",
+            at_speed,
+        )
+
+
 def _tolerances_are_of_keys_of_walkers(
     study: Study, top: Location
 ) -> Iterator[StudyError]:
@@ -476,5 +489,6 @@ RULES: tuple[Rule, ...] = (
 RULES_OF_WALKERS: tuple[Rule, ...] = (
     _level_ground_needs_a_drive,
     _what_is_turned_has_inertia,
+    _costs_of_designs_are_of_gravity,
     _tolerances_are_of_keys_of_walkers,
 )

@@ -192,6 +192,17 @@ def test_options_that_cannot_be_are_refused(tmp_path, options, message):
         read(path)
 
 
+@pytest.mark.parametrize("key", ["push_off", "hip_torque"])
+def test_no_cost_of_transport_is_told_that_gravity_pays_in_part(tmp_path, key):
+    """That of maps is the sine of the slope."""
+    path = written(tmp_path, '"B"', f"R = [0.1, 0.2]\n{key} = [0.0, 0.05]")
+    read(path)
+    path.write_text(path.read_text() + "[options]\nat_speed = 0.1\n")
+
+    with pytest.raises(StudyError, match="`at_speed` must be left out of maps"):
+        read(path)
+
+
 @pytest.mark.parametrize(
     ("axes", "message"),
     [
