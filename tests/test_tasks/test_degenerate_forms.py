@@ -23,7 +23,7 @@ from lines import _atlas
 from test_tasks.test_meetings import PAIR
 from test_tasks.test_normal_forms import by_doubled, exact_form
 
-SLOW = pytest.mark.thorough
+SLOW, LONG = pytest.mark.thorough, pytest.mark.soak
 #: A flip of E beside its generalised flip: similarity coordinates, event time, ln slope
 #: and the foot mass ratio.
 FLIP = np.array([-3.399023738, -4.697040962, 1.154867451, -1.818180015, 0.47])
@@ -121,7 +121,7 @@ def test_beyond_its_bound_the_sign_is_that_of_either_side(curves, request):
 
 
 @SLOW
-@pytest.mark.parametrize("curves", ["flips", "pairs"])
+@pytest.mark.parametrize("curves", ["flips", pytest.param("pairs", marks=LONG)])
 def test_in_113_bits_the_coefficient_changes_its_sign_within_the_bound(curves, request):
     found = request.getfixturevalue(curves)
     (condition,) = found.equations.conditions
@@ -148,7 +148,7 @@ def test_before_a_resonance_at_which_a_curve_ends_a_chenciner_point_is_found(pai
     assert kinds == {"subcritical", ""}
 
 
-@SLOW
+@LONG
 def test_over_two_keys_at_its_slope_lies_the_same_generalised_flip():
     """At the foot's radius that the plane has there."""
     asked = {"line": {"walker": "E", "set": {}}, "slope": np.array([0.165])}

@@ -292,7 +292,7 @@ def _of_pair(A, along):
         pytest.param("E", {"foot_mass_ratio": 0.3}, marks=SLOW),
         pytest.param("B", {}, marks=SLOW),
         pytest.param("C", {}, marks=SLOW),
-        pytest.param("physical", {}, marks=SLOW),
+        pytest.param("physical", {}, marks=pytest.mark.soak),
     ],
 )
 def test_coefficients_lie_within_their_bounds_of_those_in_113_bits(walker, keys):
