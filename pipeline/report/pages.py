@@ -7,7 +7,7 @@ import contextlib
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -124,15 +124,14 @@ def write(
     """
     archives = [Path(archive) for archive in archives]
     pictures = extra_pictures(extra)
-    with _begun(_processes(len(archives))) as parallel:
-        sources = [read(archive) for archive in archives]
+    sources = [read(archive) for archive in archives]
     _check_extra(pictures, sources)
 
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     slugs = _slugs(sources)
     tell(0, math.nan)
-    pages = _in_processes(parallel, sources, slugs, tell, pictures)
+    pages = _in_processes(sources, slugs, tell, pictures)
     with folder.locked(out):
         folder.combine(_environment(), out, pages, only, bundle)
     is_shown = len(sources) == 1 and not sources[0].only_claims
@@ -170,36 +169,7 @@ def _processes(pages: int) -> int:
     return min(_MAX_PROCESSES, joblib.cpu_count(), pages)
 
 
-@contextlib.contextmanager
-def _begun(processes: int) -> Iterator[joblib.Parallel]:
-    """Processes that load what pages are made with while something else is done; one
-    alone is this one, which has.
-    """
-    parallel = joblib.Parallel(
-        processes,
-        return_as="generator_unordered",
-        batch_size=1,
-        pre_dispatch="all",
-    )
-    loading: Iterable[Any] = ()
-    if processes > 1:
-        # Where there are none, pages are made here.
-        with contextlib.suppress(Exception):
-            loading = parallel([joblib.delayed(_environment_made)()] * processes)
-    try:
-        yield parallel
-    finally:
-        with contextlib.suppress(Exception):
-            list(loading)
-
-
-def _environment_made() -> None:
-    """Load what pages are made with."""
-    _environment()
-
-
 def _in_processes(
-    parallel: joblib.Parallel,
     sources: list[Source],
     slugs: list[str],
     tell: Callable[[int, float], object],
@@ -213,7 +183,8 @@ def _in_processes(
     """
     works = {slug: work(source) for source, slug in zip(sources, slugs, strict=True)}
     called = dict(zip(slugs, sources, strict=True))
-    to_go = TimeToGo(works, parallel.n_jobs)
+    processes = _processes(len(sources))
+    to_go = TimeToGo(works, processes)
     made: dict[str, folder.Page] = {}
 
     def take(slug: str, page: folder.Page, seconds: float) -> None:
@@ -221,9 +192,17 @@ def _in_processes(
         to_go.count(slug, seconds)
         tell(len(made), to_go.seconds)
 
-    if parallel.n_jobs > 1:
+    if processes > 1:
         first = sorted(slugs, key=lambda slug: -works[slug])
         calls = [joblib.delayed(_delivered)(called[slug], slug) for slug in first]
+        # They start when the archives were read: without the memory for these, those
+        # would be waited for without end.
+        parallel = joblib.Parallel(
+            processes,
+            return_as="generator_unordered",
+            batch_size=1,
+            pre_dispatch="all",
+        )
         # Whatever happens to a process: an error of a page is raised again below.
         with contextlib.suppress(Exception):
             for delivered in parallel(calls):

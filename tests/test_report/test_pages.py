@@ -337,34 +337,6 @@ def test_processes_that_make_pages_do_not_load_dask(monkeypatch):
     assert "dask.array" not in sys.modules
 
 
-def test_processes_load_while_archives_are_read_and_then_make_the_pages(
-    archives, tmp_path, monkeypatch
-):
-    events = []
-
-    class Parallel:
-        n_jobs = 2
-
-        def __init__(self, *_, **__):
-            pass
-
-        def __call__(self, calls):
-            names = [function.__name__ for function, _, _ in calls]
-            events.append(names[0])
-            return iter([])
-
-    monkeypatch.setattr(pages.joblib, "Parallel", Parallel)
-    monkeypatch.setattr(pages.joblib, "cpu_count", lambda: 2)
-    read_before = pages.read
-    monkeypatch.setattr(
-        pages, "read", lambda path: events.append("read") or read_before(path)
-    )
-
-    pages.write(archives[:2], tmp_path)
-
-    assert events == ["_environment_made", "read", "read", "_delivered"]
-
-
 def _die(*_):
     os.kill(os.getpid(), signal.SIGKILL)
 
