@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from exact_special_points import exact_earlier_strike, exact_slope
+from gaitsweep.tasks.branches import degenerate_forms
 from gaitsweep.tasks.branches.atlas import survey
 from gaitsweep.tasks.branches.conditions import CONDITIONS, is_located
 from gaitsweep.tasks.branches.refine import COARSE
@@ -90,8 +91,8 @@ def test_slopes_of_curves_lie_within_their_bounds(
         )
         return bound
 
-    slope_error = follow_curves.slope_error
-    monkeypatch.setattr(follow_curves, "slope_error", compared)
+    slope_error = degenerate_forms.slope_error
+    monkeypatch.setattr(degenerate_forms, "slope_error", compared)
     line = {"walker": walker, "set": {}}
     options = {"key": key, "from": low, "to": high, "kinds": kinds}
     found = follow_curves.curve(
