@@ -151,7 +151,7 @@ def gaits(
 
     slope = flat[base.along]
     _refuse_if_none(base, slope, lines, unsolvable)
-    unsolvable += _wrong_slopes(base, slope, [line.at for line in lines])
+    unsolvable += _wrong_slopes(base, slope, lines, unsolvable)
 
     keys = _keys(base, arrays, lines)
     checks = [line.check for line in lines]
@@ -225,7 +225,8 @@ def _checked(
         try:
             check = _check(base, line, slope[every[is_slope[every]]])
         except StudyError as error:
-            unsolvable.append((every[is_slope[every]], error))
+            is_own = is_slope | is_level
+            unsolvable.append((every[is_own[every]], error))
         else:
             can_be = is_slope | is_level & check["driven"]
             lines.append(_Line(base, line, every[can_be[every]], slope, check))
@@ -316,13 +317,16 @@ def _check(base: Study, line: dict[str, Any], slope: np.ndarray) -> dict[str, An
 
 
 def _wrong_slopes(
-    base: Study, slope: np.ndarray, asked: Sequence[np.ndarray] = ()
+    base: Study,
+    slope: np.ndarray,
+    lines: Sequence[_Line] = (),
+    unsolvable: Sequence[tuple[np.ndarray, StudyError]] = (),
 ) -> list[tuple[np.ndarray, StudyError]]:
     """The points whose slope, or value of a measure, is none, or none of their walkers',
     beside those that can be asked for, with why.
     """
     is_wrong = ~_can_be(base, slope)
-    for at in asked:
+    for at in [*(line.at for line in lines), *(at for at, _ in unsolvable)]:
         is_wrong[at] = False
     wrong = np.flatnonzero(is_wrong)
     values, which = np.unique(slope[wrong], return_inverse=True)
@@ -692,8 +696,11 @@ def _plane(lines: list[_Line]) -> tuple[Study, list[_Line]] | None:
     if len(lines) < 2:
         return None
 
-    along = lines[0].values
+    along, names = lines[0].values, lines[0].keys.keys()
     if not all(np.array_equal(one.values, along) for one in lines):
+        return None
+    # Keys that changed only units are gone, from some lines and not from others.
+    if any(one.keys.keys() != names for one in lines):
         return None
 
     values = {key: np.array([one.keys[key] for one in lines]) for key in lines[0].keys}

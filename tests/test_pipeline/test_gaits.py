@@ -293,6 +293,29 @@ def test_a_point_that_cannot_be_has_a_status_and_a_sentence():
     assert np.isnan(answer.period.values.reshape(9, 4)[1:]).all()
 
 
+def test_a_wrong_walker_on_level_ground_is_told_by_its_own_key():
+    found = gaitsweep.gaits("B", 0.0, push_off=0.1, m_t=np.array([0.4, -1.0]))
+
+    reasons = found["reason_text"].values[found["reason"].values[1]]
+    assert all("`m_t` must be >= 0" in str(reason) for reason in reasons)
+
+
+def test_masses_that_are_all_scaled_at_some_points_of_a_plane_are_solved_there():
+    """Of these points keys that change only units are no keys of their lines."""
+    m_t = 0.4 * np.array([0.9, 1.0, 1.1])[:, None]
+    m_s = 0.1 * np.array([1.0, 0.9, 1.1])
+
+    found = gaitsweep.gaits("B", 0.01, m_t=m_t, m_s=m_s)
+
+    alone = [gaitsweep.gaits("B", 0.01, m_t=m_t[i, 0], m_s=m_s[i]) for i in range(3)]
+    for i, single in enumerate(alone):
+        own = found.isel(dim_0=i, dim_1=i)
+        assert (own["status"].values[:2] == 0).all()
+        np.testing.assert_allclose(
+            own["stance_angle"].values, single["stance_angle"].values, rtol=1e-12
+        )
+
+
 def test_masked_values_are_missing():
     answer = gaitsweep.gaits("E", np.ma.masked_array([0.01, 0.02], [False, True]))
     assert answer.status.values[:, 0].tolist() == [CONVERGED, RAISED]
