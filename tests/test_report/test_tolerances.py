@@ -83,14 +83,18 @@ def test_without_tolerances_there_is_no_band(grid):
 
 @pytest.fixture
 def branch(tmp_path):
-    """A branch with a flip and a fold that move with two keys, the fold with one only."""
+    """A branch with a flip and a fold that move with two keys, the fold with one only,
+    and an end of which no derivative is known.
+    """
     slope = np.linspace(0.01, 0.04, 30)
     rows = {"branch": np.zeros(30, int), "slope": slope, "stance_angle": 0.1 + slope}
-    points = {"branch": [0, 0], "kind": ["flip", "fold"], "slope": [0.02, 0.03]}
-    points |= {"stance_angle": [0.12, 0.13]}
-    rates = {"branch": [0, 0, 0], "kind": ["flip", "flip", "fold"]}
-    rates |= {"slope": [0.02, 0.02, 0.03], "key": ["m_t", "R", "m_t"]}
-    rates |= {"key_units": ["1"] * 3, "slope_by_key": [-0.5, 0.2, 1.0]}
+    ends = ["end_zero_step"]
+    points = {"branch": [0] * 3, "kind": ["flip", "fold", *ends]}
+    points |= {"slope": [0.02, 0.03, 0.04], "stance_angle": [0.12, 0.13, 0.14]}
+    rates = {"branch": [0] * 5, "kind": ["flip", "flip", "fold", *ends, *ends]}
+    rates |= {"slope": [0.02, 0.02, 0.03, 0.04, 0.04]}
+    rates |= {"key": ["m_t", "R", "m_t", "m_t", "R"], "key_units": ["1"] * 5}
+    rates |= {"slope_by_key": [-0.5, 0.2, 1.0, np.nan, np.nan]}
     text = (
         'name = "b"\nkind = "branch"\nwalker = "B"\n[axes]\nslope = [0.01, 0.04]\n'
         '[figures.tolerances]\nm_t = "1%"\nR = 0.005\n'
@@ -106,10 +110,12 @@ def test_special_points_have_half_widths_where_every_key_has_its_derivative(bran
         each for each in html_tables.results(branch) if each.name == "special_points"
     )
 
-    flip, fold = table.frame.to_dict("records")
+    flip, *others = table.frame.to_dict("records")
     assert flip["slope_half_width"] == pytest.approx(0.5 * 0.004 + 0.2 * 0.005)
     assert flip["most_from"] == "m_t"
-    assert np.isnan(fold["slope_half_width"]) and fold["most_from"] == ""
+    assert len(others) == 2
+    assert all(np.isnan(each["slope_half_width"]) for each in others)
+    assert all(each["most_from"] == "" for each in others)
 
 
 def test_a_locus_draws_bars_at_special_points_and_says_so(branch):

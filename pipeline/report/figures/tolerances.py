@@ -140,7 +140,7 @@ def told(
     rows = np.hstack([*changes.values()])
     by_key = dict(zip(keys, rows, strict=True))
     lacking = [key for key, row in by_key.items() if np.isnan(row).any()]
-    still = [key for key, row in by_key.items() if (row == 0).all()]
+    still = [key for key, row in by_key.items() if row.size and (row == 0).all()]
 
     return {
         "tolerances": listed(source),
@@ -216,17 +216,23 @@ def special_points(source: Source) -> pd.DataFrame:
     at = list(dict.fromkeys((*axes, "branch", "kind", "slope")))
     own = rates[rates["key"].isin(each)]
     own = own.assign(off=[*_off(source, own, axes)])
-    of_points = own.groupby(at, sort=False)["off"]
-    whole = of_points.sum(min_count=len(each)).rename(_OF_SLOPE)
-    greatest = own.loc[of_points.idxmax().dropna()].set_index(at)["key"].rename(_MOST)
+    whole = own.groupby(at, sort=False)["off"].sum(min_count=len(each))
+    whole = whole.rename(_OF_SLOPE)
 
     found = points
-    for column in (whole, greatest):
+    for column in (whole, _greatest(own, at)):
         found = found.merge(column, how="left", left_on=at, right_index=True)
     found[_MOST] = found[_MOST].where(found[_OF_SLOPE].notna(), "")
     units = {**points.attrs.get("units", {}), _OF_SLOPE: "rad"}
     found.attrs = {**points.attrs, "units": units}
     return found
+
+
+def _greatest(own: pd.DataFrame, at: list[str]) -> pd.Series:
+    """The key with most of the half-width of each point, of which some part is known."""
+    known = own.dropna(subset=["off"])
+    rows = known.groupby(at, sort=False)["off"].idxmax()
+    return known.loc[rows].set_index(at)["key"].rename(_MOST)
 
 
 def _off(source: Source, rates: pd.DataFrame, axes: Sequence[str]) -> Iterator[float]:
