@@ -222,14 +222,14 @@ def _checked(
     for line_along_drive in lines:
         is_left[line_along_drive.at] = False
     for line, every in _along_slopes(base, flat, arrays, np.flatnonzero(is_left)):
+        leads_down, level = is_slope[every], is_level[every]
         try:
-            check = _check(base, line, slope[every[is_slope[every]]])
+            check = _check(base, line, slope[every[leads_down]])
         except StudyError as error:
-            is_own = is_slope | is_level
-            unsolvable.append((every[is_own[every]], error))
+            unsolvable.append((every[leads_down | level], error))
         else:
-            can_be = is_slope | is_level & check["driven"]
-            lines.append(_Line(base, line, every[can_be[every]], slope, check))
+            can_be = leads_down | level & check["driven"]
+            lines.append(_Line(base, line, every[can_be], slope, check))
 
     return lines, unsolvable
 
@@ -251,11 +251,15 @@ def _along_drives(
 
         values = flat[key]
         can_be = (values[level] > 0) & (values[level] <= bounds[key][1])
+        own: list[_Line] = []
         for line, at in _lines(base, flat, arrays, key, level[can_be]):
             check = _check_along(key, base, line, values[at])
             if check:
-                lines.append(_Line(base, line, at, values, check, key))
-                level = np.setdiff1d(level, at)
+                own.append(_Line(base, line, at, values, check, key))
+
+        lines += own
+        taken = [one.at for one in own]
+        level = np.setdiff1d(level, np.concatenate([level[:0], *taken]))
 
     return lines
 
