@@ -1,10 +1,12 @@
-"""heyoka's compile cache: its folder, whose it is, and whether its machine code is as
-it was written.
+"""heyoka's compile cache: its folders, whose they are, and whether their machine code is
+as it was written.
 
-heyoka executes what it finds there and has no checksums of it. A folder or file that
-another user may change is not used. Damage crashes a process or changes numbers: beside
-the cache, a file keeps the checksum of every entry as it was first seen; a cache with
-another entry than that, or one that cannot be read, is removed and fills again.
+heyoka reads the whole cache that it opens, and executes what it finds there; it has no
+checksums of it. So each structure has a folder of its own: who asks about one walker
+reads and checks what was compiled for such walkers alone. A folder or file that another
+user may change is not used. Damage crashes a process or changes numbers: beside each
+cache, a file keeps the checksum of every entry as it was first seen; a cache with another
+entry than that, or one that cannot be read, is removed and fills again.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import contextlib
 import fcntl
 import functools
 import grp
+import hashlib
 import logging
 import os
 import pwd
@@ -23,7 +26,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-_LIMIT = 256 << 20  # size of the cache [byte]
+_LIMIT = 256 << 20  # size of all folders together [byte]
 _TIMEOUT = 30.0  # wait for other writing processes [s]
 _PATIENCE = 120.0  # longest wait for code that another process compiles [s]
 _CACHE, _SUMS, _LOCKS = "cache.db", "checksums.db", "locks"
@@ -34,47 +37,86 @@ _DAMAGES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
 #: The open file whose bytes stand for what is compiled, a lock on each; none where no
 #: cache is used.
 _locks: list[int] = []
+#: Folders whose entries this process has found to be as they were written.
+_checked: set[Path] = set()
 
 
-def use() -> None:
-    """Keep compiled code in this user's folder; where that cannot be used, every
-    process compiles its own.
+def use(name: str) -> None:
+    """Keep what is compiled from now on in this user's folder of that name; where it
+    cannot be used, every process compiles its own.
 
-    Notes
-    -----
-    heyoka reads its whole cache when it opens it: a small one of this program's own opens ten times as fast as one
-    shared with all users of heyoka.
+    Parameters
+    ----------
+    name : str
+        What is compiled, in any words: equal names have one folder.
     """
     import heyoka as hy  # here: a run asks for the folder without the solver
 
+    cache = hy.llvm_state
     hy.set_logger_level_error()  # a warning says that an entry could not be kept
-    hy.llvm_state.set_diskcache_enabled(False)
-    folder = usable_folder()
+    cache.set_diskcache_enabled(False)
+    folder = _folder_of(name)
     if folder is None:
         return
 
     try:
-        with contextlib.suppress(OSError):
-            _locks[:] = [
-                os.open(folder / _LOCKS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-            ]
-
+        _open_locks(folder.parent)
+        _make_room(folder.parent)
         # A cache that another process is just making has no tables yet, which would
         # count as damage.
-        with turn(""):
-            if not _is_intact(folder):
-                if not all(
-                    (folder / name).exists() for name in (_CACHE, _SUMS)
-                ):  # another program's
-                    return
-                _remove(folder)
-
-            hy.llvm_state.set_diskcache_path(str(folder))
-            hy.llvm_state.set_diskcache_limit(_LIMIT)
-            hy.llvm_state.set_diskcache_enabled(True)
-            hy.llvm_state.get_diskcache_size()  # opens it
+        with turn(folder.name):
+            if not _may_be_used(folder):
+                return
+            cache.set_diskcache_path(str(folder))
+            cache.set_diskcache_limit(_LIMIT)
+            cache.set_diskcache_enabled(True)
+            cache.get_diskcache_size()  # opens it
     except (OSError, RuntimeError):
-        hy.llvm_state.set_diskcache_enabled(False)
+        cache.set_diskcache_enabled(False)
+
+
+def _open_locks(folder: Path) -> None:
+    """Open the file of the locks, once a process."""
+    if _locks:
+        return
+    with contextlib.suppress(OSError):
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC
+        _locks.append(os.open(folder / _LOCKS, flags, 0o600))
+
+
+def _may_be_used(folder: Path) -> bool:
+    """Whether a folder's entries are as they were written, which is looked at once a
+    process; damaged ones are removed. Another program's database is left alone.
+    """
+    if folder in _checked:
+        return True
+    if not _is_intact(folder):
+        is_ours = all((folder / name).exists() for name in (_CACHE, _SUMS))
+        if not is_ours:
+            return False
+        _remove(folder)
+
+    _checked.add(folder)
+    return True
+
+
+@functools.cache
+def _make_room(cache: Path) -> None:
+    """Remove the folders that were used longest ago where all together are too large."""
+    used = []
+    for folder in cache.iterdir():
+        with contextlib.suppress(OSError):
+            files = [file.stat() for file in _files(folder) if file.exists()]
+            if files:
+                newest = max(status.st_mtime for status in files)
+                size = sum(status.st_size for status in files)
+                used.append((newest, size, folder))
+
+    total = 0
+    for _, size, folder in sorted(used, reverse=True):
+        total += size
+        if total > _LIMIT:
+            _remove(folder)
 
 
 @contextlib.contextmanager
@@ -106,28 +148,48 @@ def turn(name: str, meanwhile: Callable[[], object] = lambda: None) -> Iterator[
             fcntl.lockf(_locks[0], fcntl.LOCK_UN, 1, place)
 
 
-@functools.cache
 def usable_folder() -> Path | None:
     """Folder of the compile cache, made if there is none; None if it cannot be made or
     others may change it.
 
     The latter is said once in a process.
     """
+    return _usable(cache_folder())
+
+
+def _folder_of(name: str) -> Path | None:
+    """Folder in which what is compiled under a name is kept; None if it cannot be used."""
+    cache = usable_folder()
+    if cache is None:
+        return None
+    return _usable(cache / hashlib.sha256(name.encode()).hexdigest()[:16])
+
+
+def _usable(folder: Path) -> Path | None:
+    """A folder, made if there is none, unless it cannot be made or others may change it,
+    which is said.
+    """
     try:
-        folder = cache_folder().resolve()  # without links, which others could change
+        folder = folder.resolve()  # without links, which others could change
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         shared = next(_shared(folder), None)
     except (OSError, RuntimeError):
         return None
 
     if shared:
-        logging.getLogger("gaitsweep").warning(
-            "gaitsweep: The compile cache in %s is not used: %s is no plain file or folder that only you may change.",
-            folder,
-            shared,
-        )
+        _say_not_used(folder, shared)
+        return None
+    return folder
 
-    return None if shared else folder
+
+@functools.cache
+def _say_not_used(folder: Path, shared: Path) -> None:
+    """Say once in a process that a folder is not used since others may change a part."""
+    logging.getLogger("gaitsweep").warning(
+        "gaitsweep: The compile cache in %s is not used: %s is no plain file or folder that only you may change.",
+        folder,
+        shared,
+    )
 
 
 def cache_folder() -> Path:

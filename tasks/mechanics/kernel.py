@@ -5,7 +5,6 @@ SIMD lanes.
 from __future__ import annotations
 
 import contextlib
-import functools
 import os
 import threading
 import time
@@ -129,12 +128,11 @@ class _Waiting:
 _waiting = _Waiting()
 
 
-@functools.cache
-def prepare_compiler() -> None:
-    """Set heyoka's compile cache and threads for this process; every factory of
+def prepare_compiler(structure: Structure) -> None:
+    """Set heyoka's threads, and the compile cache of a structure; every factory of
     compiled code calls it first.
     """
-    compile_cache.use()
+    compile_cache.use(repr(structure))
     hy.set_nthreads(1)
 
 
@@ -351,7 +349,7 @@ def flow(
     structure = structure.between_strikes()
     key = structure, directions, with_slope, coarse, dissipates, compact
     if key not in FLOWS:
-        prepare_compiler()
+        prepare_compiler(structure)
         # Who follows branches needs both flows: two workers compile one each.
         other = (structure, directions + 1, True)
         is_single = with_slope or coarse or dissipates

@@ -245,7 +245,7 @@ def _doubles(values: np.ndarray) -> np.ndarray:
 
 @functools.lru_cache(maxsize=16)
 def _extended_step_map(structure: Structure, tier: int) -> _ExtendedStepMap:
-    prepare_compiler()
+    prepare_compiler(structure)
     return _ExtendedStepMap(structure, *TIERS[tier])
 
 

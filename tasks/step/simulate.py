@@ -143,7 +143,7 @@ class Scanner:
         """Rates after a heelstrike from two links' state and the parameters, at any two
         angles of the legs.
         """
-        prepare_compiler()
+        prepare_compiler(self.structure)
         return self._compile(
             4, lambda p, x: release(self.structure, p, x[1], x[2], x[3], old_angle=x[0])
         )
@@ -416,7 +416,7 @@ def _first_ends(
 @functools.lru_cache(maxsize=16)
 def scanner(structure: Structure) -> Scanner:
     """Return the compiled scanner of a structure, one a process."""
-    prepare_compiler()
+    prepare_compiler(structure)
     return Scanner(structure)
 
 

@@ -770,6 +770,6 @@ def _values_then_derivatives(at_strikes: list[list[Sym]]) -> list[Sym]:
 @functools.lru_cache(maxsize=64)
 def stride_map(structure: Structure) -> StrideMap:
     """Return the compiled step map of a structure, one a process."""
-    prepare_compiler()
+    prepare_compiler(structure)
 
     return StrideMap(structure)

@@ -468,7 +468,7 @@ class _Phase:
     """
 
     def __init__(self, structure: Structure, free: bool):
-        prepare_compiler()
+        prepare_compiler(structure)
         flow = system(structure, free, 0, False)
         self.links, self.parameters = 3 if free else 2, flow.parameters()
         q = hy.make_vars(*(f"q{i}" for i in range(self.links)))

@@ -73,10 +73,10 @@ def lend_cache() -> None:
 
     lent = STATE / "cache"
     shutil.rmtree(lent, ignore_errors=True)
-    lent.mkdir(parents=True)
-    source = cache_folder() / "cache.db"
-    if source.exists():
-        with sqlite3.connect(source) as old, sqlite3.connect(lent / "cache.db") as new:
+    for source in cache_folder().glob("*/cache.db"):
+        copy = lent / source.parent.name / "cache.db"
+        copy.parent.mkdir(parents=True)
+        with sqlite3.connect(source) as old, sqlite3.connect(copy) as new:
             old.backup(new)
 
 

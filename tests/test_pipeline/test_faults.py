@@ -261,6 +261,14 @@ def _solved(cache, n=1, largest=resource.RLIM_INFINITY, said=""):
     return out
 
 
+def restore(folder, files):
+    """Make a folder of files anew."""
+    shutil.rmtree(folder)
+    folder.mkdir()
+    for file, data in files.items():
+        file.write_bytes(data)
+
+
 @pytest.mark.parametrize(
     ("n", "damages"), [(2, 1), pytest.param(20, 60, marks=pytest.mark.soak)]
 )
@@ -270,29 +278,28 @@ def test_a_compile_cache_changes_no_number(tmp_path, tell, n, damages):
     """
     cache = tmp_path / "cache"
     wanted = _solved(cache, n)
-    with contextlib.closing(sqlite3.connect(cache / "cache.db")) as db:
+    (database,) = cache.glob("*/cache.db")
+    folder = database.parent
+    with contextlib.closing(sqlite3.connect(database)) as db:
         db.execute("CREATE TABLE here (x)")
-    assert _solved(cache) == wanted and (cache / "checksums.db").stat().st_size
-    with contextlib.closing(sqlite3.connect(cache / "cache.db")) as db:
+    assert _solved(cache) == wanted and (folder / "checksums.db").stat().st_size
+    with contextlib.closing(sqlite3.connect(database)) as db:
         db.execute(
             "DROP TABLE here"
         )  # so entries that are new have not been taken for damaged
     files = {
         file: file.read_bytes()
-        for file in cache.iterdir()
+        for file in folder.iterdir()
         if not file.name.endswith("-shm")
     }
     for k in range(damages):
-        shutil.rmtree(cache)
-        cache.mkdir()
-        for file, data in files.items():
-            file.write_bytes(data)
+        restore(folder, files)
         dice = random.Random(k)
         if k % 2:
             file = dice.choice([file for file, data in files.items() if data])
             file.write_bytes(damaged(files[file], dice))
         else:
-            with contextlib.closing(sqlite3.connect(cache / "cache.db")) as db:
+            with contextlib.closing(sqlite3.connect(database)) as db:
                 number, code = dice.choice(
                     db.execute("SELECT hash, obj FROM cache").fetchall()
                 )
@@ -311,7 +318,7 @@ def test_a_compile_cache_is_used_again_and_not_where_others_may_change_it(tmp_pa
     code = (
         "import os, sys; from gaitsweep.tasks.mechanics import compile_cache; import heyoka\n"
         "def is_used():\n"
-        "    compile_cache.usable_folder.cache_clear(); compile_cache.use()\n"
+        "    compile_cache.use('code')\n"
         "    return heyoka.llvm_state.get_diskcache_enabled()\n"
         "assert is_used() and is_used()\n"
         "os.chmod(os.environ['GAITSWEEP_CACHE'], 0o777)\n"
@@ -327,10 +334,9 @@ def test_a_compile_cache_is_used_again_and_not_where_others_may_change_it(tmp_pa
         text=True,
     )
     said = f"gaitsweep: The compile cache in {folder} is not used: {folder} is no plain file or folder that only"
-    assert (
-        done.returncode == 0
-        and [line[: len(said)] for line in done.stderr.splitlines()] == [said] * 2
-    ), done.stderr
+    assert done.returncode == 0 and [
+        line[: len(said)] for line in done.stderr.splitlines()
+    ] == [said], done.stderr
 
 
 @pytest.mark.parametrize(
@@ -377,7 +383,5 @@ def test_who_has_no_home_has_no_compile_cache(tmp_path, monkeypatch):
     for name in ("HOME", "XDG_CACHE_HOME", "GAITSWEEP_CACHE"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(pwd, "getpwuid", Mock(side_effect=KeyError))
-    compile_cache.usable_folder.cache_clear()
     assert compile_cache.usable_folder() is None
     assert not list(tmp_path.iterdir())
-    compile_cache.usable_folder.cache_clear()

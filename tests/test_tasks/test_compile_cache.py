@@ -1,9 +1,12 @@
 """Machine code is executed only from a folder that nobody else can change."""
 
+import contextlib
 import logging
 import os
 import sqlite3
 import stat
+import sys
+import types
 from pathlib import Path
 
 import pytest
@@ -57,9 +60,7 @@ def cache(tmp_path, monkeypatch):
     folder.mkdir(parents=True)
     (folder / "cache.db").touch()
     monkeypatch.setenv("GAITSWEEP_CACHE", str(folder))
-    compile_cache.usable_folder.cache_clear()
-    yield folder
-    compile_cache.usable_folder.cache_clear()
+    return folder
 
 
 def in_the_place(path, make):
@@ -119,31 +120,107 @@ def test_links_to_a_cache_are_followed_once(cache, tmp_path, monkeypatch):
 
 def test_a_new_cache_is_its_users_alone(tmp_path, monkeypatch):
     monkeypatch.setenv("GAITSWEEP_CACHE", str(tmp_path / "new"))
-    compile_cache.usable_folder.cache_clear()
     mask = os.umask(0)
     try:
         assert compile_cache.usable_folder() == tmp_path / "new"
     finally:
         os.umask(mask)
-        compile_cache.usable_folder.cache_clear()
     assert stat.S_IMODE((tmp_path / "new").stat().st_mode) == 0o700
 
 
-def test_a_database_of_another_program_is_left_alone(cache, monkeypatch):
+@pytest.fixture
+def heyoka(monkeypatch):
+    """heyoka's cache, without a setting that outlives the test: the folder that is used,
+    None where none is.
+    """
+    state = types.SimpleNamespace(path=None, is_enabled=False)
+    for name in ("set_diskcache_limit", "get_diskcache_size"):
+        setattr(state, name, lambda *_: None)
+    state.set_diskcache_path = lambda path: setattr(state, "path", Path(path))
+    state.set_diskcache_enabled = lambda enabled: setattr(state, "is_enabled", enabled)
+    found = types.SimpleNamespace(llvm_state=state, set_logger_level_error=lambda: None)
+    monkeypatch.setitem(sys.modules, "heyoka", found)
+    return state
+
+
+def entries(folder, count=1, size=10):
+    """Make the database that heyoka keeps in a folder."""
+    columns = "hash, env_fingerprint, comp_flag, bitcode, obj"
+    with contextlib.closing(sqlite3.connect(folder / "cache.db")) as db:
+        db.execute(f"CREATE TABLE cache ({columns})")
+        row = ("environment", 0, b"bitcode", bytes(size))
+        rows = [(number, *row) for number in range(count)]
+        db.executemany("INSERT INTO cache VALUES (?, ?, ?, ?, ?)", rows)
+        db.commit()
+
+
+def test_what_is_compiled_under_a_name_has_a_folder_of_its_own(cache, heyoka):
+    compile_cache.use("one")
+    one = heyoka.path
+    compile_cache.use("other")
+    other = heyoka.path
+    compile_cache.use("one")
+
+    assert heyoka.is_enabled
+    assert heyoka.path == one != other
+    assert one.parent == other.parent == cache
+
+
+def test_an_entry_that_has_changed_is_removed_with_its_folders_only(
+    cache, heyoka, monkeypatch
+):
+    folders = []
+    for name in ("one", "other"):
+        compile_cache.use(name)
+        folders.append(heyoka.path)
+        entries(heyoka.path)
+    monkeypatch.setattr(compile_cache, "_checked", set())
+    compile_cache.use("one")  # notes the checksum
+    with contextlib.closing(sqlite3.connect(folders[0] / "cache.db")) as db:
+        db.execute("UPDATE cache SET obj = ?", (b"other code",))
+        db.commit()
+    monkeypatch.setattr(compile_cache, "_checked", set())
+
+    compile_cache.use("one")
+
+    assert heyoka.is_enabled
+    assert not (folders[0] / "cache.db").exists()
+    assert (folders[1] / "cache.db").exists()
+
+
+def test_folders_used_longest_ago_make_room(cache, heyoka, monkeypatch):
+    monkeypatch.setattr(compile_cache, "_LIMIT", 200_000)
+    folders = []
+    for age, name in enumerate(["new", "older", "oldest"]):
+        compile_cache.use(name)
+        folders.append(heyoka.path)
+        entries(heyoka.path, size=80_000)
+        for file in heyoka.path.iterdir():
+            os.utime(file, (1e9 - age, 1e9 - age))
+    compile_cache._make_room.cache_clear()
+
+    compile_cache.use("another")
+
+    are_kept = [(folder / "cache.db").exists() for folder in folders]
+    assert are_kept == [True, True, False]
+    assert heyoka.is_enabled
+
+
+def test_a_database_of_another_program_is_left_alone(cache, heyoka):
     """Its name is that of heyoka's cache."""
-    with sqlite3.connect(cache / "cache.db") as db:
+    compile_cache.use("code")
+    folder = heyoka.path
+    heyoka.is_enabled = False
+    compile_cache._checked.clear()
+    (folder / "checksums.db").unlink()
+    with sqlite3.connect(folder / "cache.db") as db:
         db.execute("CREATE TABLE mine (x)")
-    before = (cache / "cache.db").read_bytes()
-    heyoka = pytest.importorskip("heyoka").llvm_state
-    monkeypatch.setattr(
-        heyoka,
-        "set_diskcache_enabled",
-        lambda is_enabled: pytest.fail("used") if is_enabled else None,
-        raising=False,
-    )
-    (cache / "checksums.db").unlink(missing_ok=True)
-    compile_cache.use()
-    assert (cache / "cache.db").read_bytes() == before
+    before = (folder / "cache.db").read_bytes()
+
+    compile_cache.use("code")
+
+    assert not heyoka.is_enabled
+    assert (folder / "cache.db").read_bytes() == before
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def test_a_worker_compiles_the_other_flow_while_one_is_compiled_elsewhere(
                 holder.communicate()  # the other worker is done, and its turn over
             return Mock()
 
-        monkeypatch.setattr(kernel, "prepare_compiler", lambda: None)
+        monkeypatch.setattr(kernel, "prepare_compiler", lambda structure: None)
         monkeypatch.setattr(kernel, "FLOWS", {})
         monkeypatch.setattr(kernel, "Flow", compile_)
         kernel.flow(structure, 2, False)
@@ -73,13 +73,17 @@ def test_a_cache_that_another_process_is_making_is_not_taken_for_damaged(
     did not see.
     """
     monkeypatch.setitem(sys.modules, "heyoka", Mock())
-    monkeypatch.setattr(compile_cache, "usable_folder", lambda: tmp_path)
+    monkeypatch.setenv("GAITSWEEP_CACHE", str(tmp_path))
     looked = threading.Event()
     monkeypatch.setattr(
         compile_cache, "_is_intact", lambda folder: looked.set() or True
     )
-    with another("") as maker:
-        opens = threading.Thread(target=compile_cache.use)
+    compile_cache.use("code")
+    (folder,) = (each for each in tmp_path.iterdir() if each.is_dir())
+    looked.clear()
+    monkeypatch.setattr(compile_cache, "_checked", set())
+    with another(folder.name) as maker:
+        opens = threading.Thread(target=compile_cache.use, args=["code"])
         opens.start()
         assert not looked.wait(0.2)
         maker.communicate()
