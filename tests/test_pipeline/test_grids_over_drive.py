@@ -212,10 +212,9 @@ def test_gaits_of_arrays_are_solved_along_what_drives(monkeypatch):
     assert has_raised[:, 4].all()
     assert has_raised[:2, 0].all()
     assert not has_raised[:, 1:4].any()
-    for i in range(3):
-        for j in range(1, 4):
-            point = found.isel(dim_0=i, dim_1=j)
-            assert_is_single(point, "D", slope[i], push_off=push[j])
+    for i, j in ((0, 2), (1, 1), (2, 3)):
+        point = found.isel(dim_0=i, dim_1=j)
+        assert_is_single(point, "D", slope[i], push_off=push[j])
 
 
 def test_gaits_of_arrays_are_those_of_a_study_over_what_drives(tmp_path):

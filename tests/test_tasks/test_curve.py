@@ -653,12 +653,12 @@ def test_gaits_on_a_curve_of_a_level_have_that_value(measure, value):
     begins to scuff deeper than a height is such a curve.
     """
     params = {"line": LINE, "slope": np.array([1e-3, 0.1]), "key": "R"}
-    params |= {"from": 0.1, "to": 0.3, "kinds": [], "levels": {measure: value}}
+    params |= {"from": 0.15, "to": 0.25, "kinds": [], "levels": {measure: value}}
 
     found = curve(params, [_atlas("C", ())])
 
-    rows = np.flatnonzero(found["curves/walks"])[::8]
-    assert len(rows) >= 3
+    walking = np.flatnonzero(found["curves/walks"])
+    rows = walking[[0, len(walking) // 2, -1]]
     assert {*found["curves/kind"]} == {f"{measure} = {value:g}"}
     for row in rows.tolist():
         slope, radius = found["curves/slope"][row], found["curves/value"][row]
