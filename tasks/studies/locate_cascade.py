@@ -22,6 +22,7 @@ from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.branches.special_points import RATES, passings, state_at
 from gaitsweep.tasks.branches.tracking import check_steps, correct, points_along
 from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.contract.status import over
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.fits import feigenbaum as scaling
@@ -101,6 +102,11 @@ class _Event:
         """Its slope [rad], or what else drives."""
         return float(np.exp(self.q))
 
+    @property
+    def doubles_steps(self) -> bool:
+        """Whether gaits of twice as many steps begin there."""
+        return kind_of(self.kind).doubles_steps
+
 
 @dataclass(frozen=True)
 class _Family:
@@ -112,7 +118,7 @@ class _Family:
     @property
     def flips(self) -> ndarray:
         """Slopes of its flips, shape (k,) [rad]."""
-        return np.array([event.slope for event in self.events if event.kind == "flip"])
+        return np.array([event.slope for event in self.events if event.doubles_steps])
 
 
 def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -227,7 +233,7 @@ def _event_rows(name: str, family: _Family) -> Iterator[tuple[Any, ...]]:
             event.kind,
             event.slope * problem.drive.unit(walker),
             event.error,
-            next(ratio) if event.kind == "flip" else np.nan,
+            next(ratio) if event.doubles_steps else np.nan,
             state["stance_angle"],
             *rates,
             is_step,
