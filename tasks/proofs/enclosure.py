@@ -129,8 +129,7 @@ def flow(
         middle, state, derivative = step.at(step.h, step.h)
         state = narrower(state, middle, derivative, spread)
         time = time + step.h
-        longer = float(step.h) * _longer(step.excess, accuracy.order)
-        length = min(longest, longer)
+        length = min(longest, step.next_length(accuracy.order))
 
     raise NotProvedError(f"The phase takes more than {MAX_STEPS} Taylor steps.")
 
@@ -162,6 +161,11 @@ class _TaylorStep:
         middle = _evaluated(self.thin, of_middle)
         state = _evaluated(self.wide, of_all)
         return middle, state, evaluate(self.change, of_all)
+
+    def next_length(self, order: int) -> float:
+        """How long the next step may be, by the excess of this one's remainder."""
+        longer = 0.85 * max(self.excess, 1e-9) ** (-1 / order)
+        return float(self.h) * min(1.5, longer)
 
 
 def _taylor_step(
@@ -199,11 +203,6 @@ def _left(duration: tuple[arb, arb], time: arb) -> tuple[arb, arb]:
             "The bracket of an event's time is wider than a Taylor step."
         )
     return of_middle, of_all
-
-
-def _longer(excess: float, order: int) -> float:
-    """How much longer the next step may be, by the excess of this one's remainder."""
-    return min(1.5, 0.85 * max(excess, 1e-9) ** (-1 / order))
 
 
 def _fitting(

@@ -54,9 +54,9 @@ class StepCheck:
         doubt = self.doubt.reshape(steps, -1)
         hyperextends = self.hyperextends.reshape(steps, -1)
         # Of legs that pass once at every step but one, the number at that.
-        always_once = (passes == 1).all(axis=0)
+        always_once = _all(passes == 1)
         return StepCheck(
-            step=step.all(axis=0),
+            step=_all(step),
             leg_passes=np.where(always_once, 1, passes.max(axis=0)),
             doubt=_any(doubt),
             hyperextends=_any(hyperextends),
@@ -77,6 +77,11 @@ class _Samples(NamedTuple):
     def per_interval(self, interval: PerLane) -> _Samples:
         """With rates per interval, which take times (n,)."""
         return _Samples(self.value, interval * self.rate)
+
+
+def _all(marks: np.ndarray) -> Marks:
+    """Whether something holds of every interval or step, the first axis."""
+    return np.asarray(marks.all(axis=0))
 
 
 def _any(marks: np.ndarray) -> Marks:
@@ -432,7 +437,7 @@ def strikes_fall_in_order(
     height = durations * -closing
     falls = (closing < 0) & (height > -touch)
     is_late = times[0] > 0
-    return np.asarray(falls.all(axis=0) & is_late)
+    return _all(falls) & is_late
 
 
 #: Weights of the second derivative of a polynomial, half of it, at a point where it and

@@ -157,25 +157,22 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     if not len(slope):
         return {}
 
-    starts, longest = int(options["starts"]), int(options["periods"])
-    accumulations: list[tuple[Any, ...]] = []
+    starts = int(options["starts"])
+    longest = int(options["periods"])
     families: dict[str, _Family] = {}
     missing: list[str] = []
+    rows: list[tuple[Any, ...]] = []
     for period in map(int, options["families"]):
         first = _first_gaits(problem, near, inputs[0], slope, period, starts)
         found = _families(problem, first, slope, period, longest)
         families |= found
-        for name, family in found.items():
-            accumulations.append(_accumulation_row(name, family, unit))
+        why = _no_family(period, slope * unit, problem)
         if not found:
-            why = _no_family(period, slope * unit, problem)
             missing.append(why)
-            accumulations.append((f"{period}", 0, *_UNKNOWN, why))
+        rows += _accumulation_rows(period, found, why, unit)
 
     tables = _event_table(families, problem)
-    tables |= table(
-        "accumulation", accumulations, columns_along(problem, _ACCUMULATION)
-    )
+    tables |= table("accumulation", rows, columns_along(problem, _ACCUMULATION))
     tables |= _lost_table(problem, families, slope, int(options["steps"]))
     if not families:
         tables |= nothing(" ".join(missing))
@@ -238,6 +235,17 @@ def _event_rows(name: str, family: _Family) -> Iterator[tuple[Any, ...]]:
             *rates,
             is_step,
         )
+
+
+def _accumulation_rows(
+    period: int, families: Mapping[str, _Family], why: str, unit: float
+) -> list[tuple[Any, ...]]:
+    """Rows of where flips of the families of a first period accumulate; that of none
+    says why.
+    """
+    if not families:
+        return [(f"{period}", 0, *_UNKNOWN, why)]
+    return [_accumulation_row(*named, unit) for named in families.items()]
 
 
 def _accumulation_row(name: str, family: _Family, unit: float) -> tuple[Any, ...]:
