@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy import ndarray
 
-from gaitsweep.tasks.branches.branch import MIN_NODES, Branch
+from gaitsweep.tasks.branches.branch import FOLD, MIN_NODES, Branch
 from gaitsweep.tasks.branches.checks import checked
 from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.ends import BranchEnd, locate_end
@@ -44,7 +44,7 @@ from gaitsweep.tasks.branches.refine import (
     without_jumps,
 )
 from gaitsweep.tasks.branches.tracking import MIN_SLOPE, check_steps, follow
-from gaitsweep.tasks.contract.kinds import KINDS
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.gaits.search import (
     VANISHING,
     lattice_size,
@@ -181,7 +181,7 @@ def _cut_at_fold(branch: Branch) -> Branch:
     """
     folds = branch.folds()
     cut = branch.part(np.arange(folds[0], folds[-1] + 1))
-    return replace(cut, why=("fold", "fold"))
+    return replace(cut, why=(FOLD, FOLD))
 
 
 def _runs(true: ndarray) -> list[tuple[int, int]]:
@@ -249,7 +249,7 @@ def _passed_limit(raw: Branch, side: int) -> Procedure[BranchEnd | None]:
     one side lies beyond it.
     """
     kind = raw.why[side]
-    if kind not in KINDS or KINDS[kind].ends != "following":
+    if kind_of(kind).ends != "following":
         return None
 
     condition = CONDITIONS[kind]

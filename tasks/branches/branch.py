@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from gaitsweep.tasks.branches.pseudo_arclength import NO_FURTHER, TOO_MANY, Point
 from gaitsweep.tasks.branches.tracking import MAX_SLOPE, MIN_SLOPE, NOT_A_STEP
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.gaits.polish import UNKNOWN, Guesses
 from gaitsweep.tasks.mechanics.arrays import (
     Coordinates,
@@ -32,6 +33,8 @@ _COINCIDENT = 1e-8
 #: Kinds that are no true ends: continuation was lost, or what lies beyond failed a
 #: check.
 LOST = (NO_FURTHER, TOO_MANY, NOT_A_STEP)
+#: Why a closed branch begins and ends where it is cut.
+FOLD = "fold"
 #: Weight of the event times as coordinates of segments, relative to other coordinates.
 _WORTH_OF_TIMES = 0.02
 
@@ -424,6 +427,11 @@ class Branch:
         last = len(self.q) - 1
         return list(itertools.pairwise([0, *self.turns(), last]))
 
+    @property
+    def is_loop(self) -> bool:
+        """Whether it is closed, and cut at a fold."""
+        return self.why == (FOLD, FOLD)
+
     def folds(self) -> ndarray:
         """Return the nodes that are folds; the one at which a closed branch is cut is
         its first and last.
@@ -436,9 +444,9 @@ class Branch:
         ndarray of int, shape (k,)
         """
         nodes = self.turns()
-        if self.why[0] in ("fold", "branch_point"):
+        if kind_of(self.why[0]).turns_slope:
             nodes.insert(0, 0)
-        if self.why[1] in ("fold", "branch_point"):
+        if kind_of(self.why[1]).turns_slope:
             nodes.append(len(self.q) - 1)
         return np.array(nodes, int)
 

@@ -40,6 +40,7 @@ from gaitsweep.tasks.branches.pseudo_arclength import (
     Point,
     bordered_newton,
 )
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.gaits.rounding import UNITS, by_fifteen
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait, Numbers
 from gaitsweep.tasks.mechanics.lumped import Structure, structure_of
@@ -261,8 +262,9 @@ class Equations:
                 f"{len(names)} conditions ({', '.join(names)}) need as many free "
                 f"unknowns; there are {self.freedom}"
             )
-        if self.log_slope is not None and "window" in names:
-            raise ValueError("the slope is fixed; condition `window` sets it too")
+        edges = [name for name in names if kind_of(name).is_edge]
+        if self.log_slope is not None and edges:
+            raise ValueError(f"the slope is fixed; condition `{edges[0]}` sets it too")
 
     @property
     def freedom(self) -> int:

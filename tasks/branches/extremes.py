@@ -37,6 +37,7 @@ from gaitsweep.tasks.contract.kinds import (
     KINDS,
     LARGEST_STABLE_SLOPE,
     SMALLEST_SLOPE,
+    kind_of,
 )
 from gaitsweep.tasks.gaits.multipliers import other_multipliers
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
@@ -302,8 +303,7 @@ def find(
         return nothing(problem)
 
     window, log_speed = sought
-    kinds = ("label", "flip", "neimark_sacker", "fastest")
-    conditions = [CONDITIONS[kind] for kind in kinds]
+    conditions = [CONDITIONS[name] for name, kind in KINDS.items() if kind.is_sought]
     if log_speed is not None:
         conditions.append(CONDITIONS["speed"].equal_to(log_speed))
 
@@ -345,11 +345,12 @@ def _turns_and_ends(nodes: Nodes, tuned: ndarray, low: float) -> list[Guesses]:
     by_kind: dict[str, list[int]] = {}
     for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
         for kind, node, _ in turns_and_ends(branch):
-            vanishes = kind != "fold" and branch.q[node] <= np.log(_VANISHING)
+            is_end = not kind_of(kind).turns_slope
+            vanishes = is_end and branch.q[node] <= np.log(_VANISHING)
             is_any = vanishes and tuned[nodes.line[first]] and branch.q.max() >= low
-            by_kind.setdefault(ANY_SLOPE if is_any else kind, []).append(first + node)
-
-    by_kind.pop("window", None)
+            if is_any or not kind_of(kind).is_edge:
+                named = ANY_SLOPE if is_any else kind
+                by_kind.setdefault(named, []).append(first + node)
 
     return [
         Guesses(

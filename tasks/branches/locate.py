@@ -24,7 +24,7 @@ from gaitsweep.tasks.gaits.polish import (
     are_same,
     settle,
 )
-from gaitsweep.tasks.mechanics.arrays import Coordinates, Unknowns
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Numbers, Unknowns
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
@@ -151,27 +151,36 @@ def settle_on_branches(
     gaits = settle(problem, guesses, accuracy=accuracy)
     settled = gaits.converged & _is_near(problem, gaits, guesses.w)
     lost = np.flatnonzero(~settled)
-    if not len(lost):
-        _lose_twins(gaits, guesses, places)
-        return gaits
+    if len(lost):
+        again = _located_guesses(guesses, lost, places)
+        located = settle(problem.some(lost), again, accuracy=accuracy)
+        located.converged &= _is_near(problem, located, again.w)
+        replace_lanes(gaits, lost, located)
 
+    _lose_twins(gaits, guesses, places)
+    return gaits
+
+
+def _located_guesses(
+    guesses: Guesses,
+    lost: Numbers,
+    places: Sequence[tuple[Problem, Branch, ndarray]],
+) -> Guesses:
+    """Guesses of some lanes (k,), located along their branches where these lead to them."""
     again = lanes_of(guesses, lost)
     ends = np.cumsum([len(segments) for *_, segments in places])
     for i, lane in enumerate(lost.tolist()):
         number = int(np.searchsorted(ends, lane, side="right"))
         walker, branch, segments = places[number]
-        segment = int(segments[lane - ends[number] + len(segments)])
+        first = ends[number] - len(segments)
+        segment = int(segments[lane - first])
         q = np.log(guesses.slope[lane])
         point = run(walker, _point_at_slope(branch, segment, q))
         if point is not None:
             w = from_largest(point.at.w, branch.m, branch.steps)
             again.w[:, i] = w[:, 0]
 
-    located = settle(problem.some(lost), again, accuracy=accuracy)
-    located.converged &= _is_near(problem, located, again.w)
-    replace_lanes(gaits, lost, located)
-    _lose_twins(gaits, guesses, places)
-    return gaits
+    return again
 
 
 def _lose_twins(

@@ -30,14 +30,12 @@ from gaitsweep.tasks.branches.degenerate_forms import (
 from gaitsweep.tasks.branches.equations import Equations, errors, solve
 from gaitsweep.tasks.branches.pseudo_arclength import CLOSED, Point
 from gaitsweep.tasks.branches.root import hermite, nearest_to_zero
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.mechanics.arrays import Gait, Numbers
 from gaitsweep.tasks.step.problem import EPS
 from gaitsweep.tasks.step.sameness import SAME_GAIT, same
 
 CUSP = "cusp"
-#: Conditions that every curve may meet, besides those that a study follows.
-_ALWAYS = ("fold", "flip", "neimark_sacker", "end_tangential_heelstrike")
-_WITH_KNEES = ("end_kneestrike_at_heelstrike", "end_tangential_kneestrike")
 #: Names of meetings whose multipliers coincide: beyond the resonances among them the
 #: pair of a curve of Neimark-Sacker points is real.
 _NAMES = {
@@ -46,19 +44,6 @@ _NAMES = {
     frozenset({"flip", "neimark_sacker"}): "resonance 1:2",
 }
 _RESONANCES = tuple(name for name in _NAMES.values() if name.startswith("resonance"))
-#: Where heelstrike is tangential the map has no derivative, and no multipliers. Where
-#: kneestrike is, the equations' determinant vanishes with its rate, and multipliers are
-#: quotients of two zeros: their limits are finite, but computed there are roundings.
-_WITHOUT_SCALARS = [
-    {end, kind}
-    for end, kinds in (
-        ("end_tangential_heelstrike", ("flip", "neimark_sacker")),
-        ("end_tangential_kneestrike", ("fold", "flip", "neimark_sacker")),
-    )
-    for kind in kinds
-]
-#: Multiplier that is double at a resonance with a pair on the unit circle.
-_DOUBLE = {"fold": 1.0, "flip": -1.0}
 #: How nearly a double multiplier is computed: the root of its rounding, and of the error
 #: of what is located.
 _SAME_MULTIPLIER = 1e-4
@@ -274,8 +259,14 @@ def met(conditions: Mapping[str, Condition], has_knees: bool) -> dict[str, Condi
     """Return the conditions that curves of a walker may meet, by their names: those
     given, and all that any curve may meet.
     """
-    names = _ALWAYS + _WITH_KNEES * has_knees
-    return {name: CONDITIONS[name] for name in names} | dict(conditions)
+    always = [
+        each
+        for each in CONDITIONS.values()
+        if each.kind.exchanges_stability or each.kind.ends == "walking"
+        if has_knees or not each.kind.needs_knee
+    ]
+    always.sort(key=lambda each: each.kind.needs_knee)
+    return {each.name: each for each in always} | dict(conditions)
 
 
 def turnings(
@@ -301,7 +292,7 @@ def turnings(
                 turned.append(Turning(segment, component, *found))
 
     (own,) = equations.conditions
-    if own.name != "fold":
+    if not kind_of(own.name).turns_slope:
         return turned, []
 
     at_once = [
@@ -364,7 +355,7 @@ def meetings(
     curve = _Cubics(points, tangents)
     at = equations.evaluate(curve.at(curve.samples))
     for name, other in {**others, **own_names}.items():
-        if other.value is own.value or {own.name, name} in _WITHOUT_SCALARS:
+        if other.value is own.value or _is_undefined(own.name, name):
             continue
 
         def residual(places: ndarray, other: Condition = other) -> ndarray:
@@ -384,6 +375,11 @@ def meetings(
                 error = errors(both, found, 2)
                 meets = "" if named in own_names else name
                 yield Meeting(named, meets, found, error, int(segment))
+
+
+def _is_undefined(one: str, other: str) -> bool:
+    """Whether the scalar of one of two kinds has no value at points of the other."""
+    return other in kind_of(one).undefined or one in kind_of(other).undefined
 
 
 class _Cubics:
@@ -473,19 +469,24 @@ def _name(names: Sequence[str], both: Equations, X: Gait) -> str:
     """Name of the point at which two conditions of these names are fulfilled; empty where
     a pair of multipliers is real and no resonance, which is no bifurcation.
     """
-    if "neimark_sacker" in names:
-        (other,) = set(names) - {"neimark_sacker"}
-        multipliers = both.evaluate(X[:, None]).multipliers[0]
-        if other in DEGENERATE["neimark_sacker"]:
-            return other
-        if other in _DOUBLE:
-            off = np.sort(np.abs(multipliers - _DOUBLE[other]))
-            if off[1] < _SAME_MULTIPLIER:
-                return _NAMES[frozenset(names)]
+    pairs = [name for name in names if kind_of(name).critical == "pair"]
+    if not pairs:
+        return _NAMES.get(frozenset(names), " and ".join(sorted(names)))
 
-        if np.abs(multipliers.imag).max() < _SAME_MULTIPLIER:
-            return ""
+    (pair,) = pairs
+    (other,) = set(names) - {pair}
+    if other in DEGENERATE[pair]:
+        return other
 
-        return f"{other} and neimark_sacker"
+    multipliers = both.evaluate(X[:, None]).multipliers[0]
+    # At a resonance the pair is one multiplier that is double.
+    double = kind_of(other).critical
+    if isinstance(double, float):
+        off = np.sort(np.abs(multipliers - double))
+        if off[1] < _SAME_MULTIPLIER:
+            return _NAMES[frozenset(names)]
 
-    return _NAMES.get(frozenset(names), " and ".join(sorted(names)))
+    if np.abs(multipliers.imag).max() < _SAME_MULTIPLIER:
+        return ""
+
+    return f"{other} and {pair}"

@@ -16,6 +16,7 @@ places along a direction.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -89,7 +90,7 @@ class NormalForm:
         """
         if not abs(self.coefficient) > self.error:
             return ""
-        is_super = (self.coefficient > 0) == (kind == "flip")
+        is_super = self.coefficient * _FORMS[kind].of_supercritical > 0
         return SUPERCRITICAL if is_super else SUBCRITICAL
 
 
@@ -128,8 +129,10 @@ def normal_form(problem: Problem, kind: str, Z: Gait, error: float) -> NormalFor
         return NONE
 
     at = _in_units(problem, Z, error)
-    high, low = _forms(kind, at, _STEPS, (_EIGHTH, _SIXTH))
-    by_angle = _over_angle(kind, at)
+    form = _FORMS[kind]
+    high, low = _coefficients(form, at, _STEPS, (_EIGHTH, _SIXTH))
+    angle = form.critical(at.jacobian).right[:, 0]
+    by_angle = form.by_angle(angle)
     high = high * by_angle
     low = low * by_angle
 
@@ -277,24 +280,31 @@ class _Eigen(NamedTuple):
     left: ndarray
 
 
-def _critical(kind: str, jacobian: ndarray) -> _Eigen:
-    """The multiplier nearest to -1, or the upper one of a complex pair, of derivatives
-    (n, d, d).
-    """
+def _eigen(jacobian: ndarray, off: Callable[[ndarray], ndarray]) -> _Eigen:
+    """The multipliers of derivatives (n, d, d) that are least `off` of all (n, d)."""
     finite = np.where(np.isfinite(jacobian), jacobian, 0.0)
     values, right = np.linalg.eig(finite)
     left = np.linalg.pinv(right)
 
-    off = np.abs(values + 1) if kind == "flip" else -values.imag
-    nearest = off.argmin(axis=1)
+    nearest = off(values).argmin(axis=1)
     lanes = np.arange(len(values))
-    value = values[lanes, nearest]
-    q = right[lanes, :, nearest]
-    p = left[lanes, nearest]
-    if kind == "flip":
-        return _Eigen(value.real, q.real, p.real)
+    return _Eigen(
+        value=values[lanes, nearest],
+        right=right[lanes, :, nearest],
+        left=left[lanes, nearest],
+    )
 
-    return _Eigen(value, q, p)
+
+def _nearest_to_flip(jacobian: ndarray) -> _Eigen:
+    """The multiplier nearest to -1, real."""
+    eigen = _eigen(jacobian, lambda values: np.abs(values + 1))
+    return _Eigen(eigen.value.real, eigen.right.real, eigen.left.real)
+
+
+def _upper_of_pair(jacobian: ndarray) -> _Eigen:
+    """The upper multiplier of a complex pair."""
+    eigen = _eigen(jacobian, lambda values: -values.imag)
+    return _Eigen(*(part.astype(complex) for part in eigen))
 
 
 class _Line(NamedTuple):
@@ -333,13 +343,14 @@ class _Line(NamedTuple):
         return first / step, second / step**2
 
 
-def _forms(
-    kind: str, at: _Sections, steps: ndarray, stencils: tuple[_Stencil, ...]
+def _coefficients(
+    form: _Form, at: _Sections, steps: ndarray, stencils: tuple[_Stencil, ...]
 ) -> list[ndarray]:
     """Coefficients by each stencil, for each step of the differences, shape (steps, n)."""
-    eigen = _critical(kind, at.jacobian)
-    q = eigen.right
-    parts = [q] if kind == "flip" else [q.real, q.imag]
+    eigen = form.critical(at.jacobian)
+    parts = [eigen.right.real]
+    if np.iscomplexobj(eigen.right):
+        parts.append(eigen.right.imag)
 
     reach = np.arange(1, len(stencils[0].first) + 1)
     places = np.unique(np.outer(steps, reach))
@@ -350,7 +361,7 @@ def _forms(
         rows = []
         for step in steps.tolist():
             differences = [line.differences(stencil, step) for line in lines]
-            rows.append(_FORMS[kind](at.jacobian, eigen, differences))
+            rows.append(form.coefficient(at.jacobian, eigen, differences))
         found.append(np.array(rows))
 
     return found
@@ -418,15 +429,40 @@ def _of_pair(
     return np.asarray((products / turn).real / 2)
 
 
-#: Coefficients for unit vectors, of each kind that has them.
-_FORMS = {"flip": _of_flip, "neimark_sacker": _of_pair}
+class _Form(NamedTuple):
+    """The normal form of a kind of points.
 
-
-def _over_angle(kind: str, at: _Sections) -> ndarray:
-    """What makes a coefficient for unit vectors that of changes of the stance angle, (n,):
-    of a pair these are twice the real part.
+    Attributes
+    ----------
+    critical : callable
+        The multipliers on the unit circle of derivatives (n, d, d).
+    coefficient : callable
+        For critical vectors of unit length, shape (n,).
+    by_angle : callable
+        What makes that the coefficient of changes of the stance angle, by its component
+        (n,) in the critical vectors, shape (n,).
+    of_supercritical : int
+        Sign of the coefficient at supercritical points.
     """
-    angle = _critical(kind, at.jacobian).right[:, 0]
-    if kind == "flip":
-        return np.asarray(1 / angle**2)
-    return np.asarray(1 / (4 * np.abs(angle) ** 2))
+
+    critical: Callable[[ndarray], _Eigen]
+    coefficient: Callable[..., ndarray]
+    by_angle: Callable[[ndarray], ndarray]
+    of_supercritical: int
+
+
+_FORMS = {
+    "flip": _Form(
+        critical=_nearest_to_flip,
+        coefficient=_of_flip,
+        by_angle=lambda angle: 1 / angle**2,
+        of_supercritical=1,
+    ),
+    # Changes of the angle are twice the real part.
+    "neimark_sacker": _Form(
+        critical=_upper_of_pair,
+        coefficient=_of_pair,
+        by_angle=lambda angle: 1 / (4 * np.abs(angle) ** 2),
+        of_supercritical=-1,
+    ),
+}

@@ -23,6 +23,7 @@ from gaitsweep.tasks.branches.tracking import (
     check_steps,
     correct,
 )
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.gaits.newton import curvature
 from gaitsweep.tasks.gaits.polish import not_measured
 from gaitsweep.tasks.gaits.rounding import rounding, rounding_std
@@ -164,7 +165,8 @@ def without_jumps(branch: Branch, gait: Gait) -> Procedure[Branch]:
     side = np.sign(branch_point_determinant(point, border))
     changes = side[1:] * side[:-1] < 0
     jumps = changes & (norm(np.diff(branch.Z)) > MAX_CROSSING_STEP)
-    jumps[[0, -1]] &= np.array(branch.why) != "branch_point"
+    for end, why in zip((0, -1), branch.why, strict=True):
+        jumps[end] &= not kind_of(why).is_crossing
     if not jumps.any():
         return branch
 

@@ -27,7 +27,7 @@ from gaitsweep.tasks.branches.lockstep import side_by_side
 from gaitsweep.tasks.branches.passings import Nodes, guess_passings, locate
 from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.branches.tracking import branch_point_determinant, correct
-from gaitsweep.tasks.contract.kinds import KINDS
+from gaitsweep.tasks.contract.kinds import KINDS, kind_of
 from gaitsweep.tasks.gaits.rounding import rounding
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import EPS, Problem
@@ -75,7 +75,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
     for each in sorted(found, key=lambda each: each.place):
         error = _error(each.kind, each.point, each.lane, each.error)
         described = record(each.kind, each.point.at, each.lane, error)
-        if each.kind == "end_zero_step":
+        if kind_of(each.kind).steps_vanish:
             described |= _limit_of_short_steps(branch, each.lane)
         condition = _condition(each.kind, each.point, each.lane)
         records.append({**described, "place": each.place, "condition": condition})
@@ -126,7 +126,7 @@ def turns_and_ends(branch: Branch) -> list[tuple[str, int, float]]:
     last = len(branch.q) - 1
     ends = [*zip((0, last), branch.why, branch.end_errors, strict=True)]
     # Both ends of a closed branch are one fold.
-    if branch.why == ("fold", "fold"):
+    if branch.is_loop:
         ends = ends[:1]
     for node, why, error in ends:
         kind = "lost" if why in LOST else why
@@ -140,7 +140,7 @@ def corrected(problem: Problem, branch: Branch) -> Point:
     nodes = correct(problem, branch.Z, branch.direction)
     # A flip is known better than by these equations.
     for node, why in zip((0, -1), branch.why, strict=True):
-        if why == "branch_point":
+        if kind_of(why).is_crossing:
             nodes.Z[:, node] = branch.Z[:, node]
     return nodes.oriented(branch.direction)
 
@@ -221,7 +221,7 @@ def _branch_points(
     crosses &= np.isfinite(values[1:]) & np.isfinite(values[:-1])
     # Nodes beside an end may lie on either side of it by rounding.
     for segment, end in zip((0, -1), branch.why, strict=True):
-        crosses[segment] &= end != "branch_point"
+        crosses[segment] &= not kind_of(end).is_crossing
 
     segments = np.flatnonzero(crosses).tolist()
     searches = [locate_root(branch, segment, determinant) for segment in segments]
@@ -337,13 +337,14 @@ def _condition(kind: str, point: Point, lane: int) -> str:
     """The name of the condition that a special point meets; empty without."""
     if kind == "end_earlier_strike" and _strikes_with_knee(point, lane):
         return "foot_at_kneestrike"
-    return kind if is_located(kind) and kind != "window" else ""
+    return kind if is_located(kind) and not KINDS[kind].is_edge else ""
 
 
 def _error(kind: str, point: Point, lane: int, known: float) -> float:
     """Bound on the relative error of a special point's slope, of which a part is known."""
     problem = point.at.problem
-    is_flip_of_others = kind == "branch_point" and known
+    is_crossing = kind_of(kind).is_crossing
+    is_flip_of_others = is_crossing and known
     condition = _condition(kind, point, lane)
     if condition:
         error = slope_error(problem, CONDITIONS[condition], point.Z[:, lane])
@@ -353,7 +354,7 @@ def _error(kind: str, point: Point, lane: int, known: float) -> float:
     else:
         rounded = rounding(point.at.stride)[:, lane]
         error = float(np.nan_to_num(rounded, nan=np.inf).max())
-        if kind == "branch_point":
+        if is_crossing:
             error = max(error, _AT_CROSSING)
 
     return known + error + 8 * EPS

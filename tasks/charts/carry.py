@@ -1,5 +1,10 @@
 """Points carried over the keys of a box in steps, each from a prediction along the
 last.
+
+The keys are given all the way, and end at given designs: each point keeps to its own
+walkers, so that many go side by side and no derivative by keys is needed. Curves
+(`tasks.branches.curves`) have keys among their unknowns: they pass the turns at which
+points are lost here, and take five to twenty times as many evaluations to come as far.
 """
 
 from __future__ import annotations

@@ -31,6 +31,7 @@ from gaitsweep.tasks.charts.patch_ends import BEYOND, CUT, END, EVENTS, FOLD, LO
 from gaitsweep.tasks.charts.pieces import FAST, Piece, match, pieces_of
 from gaitsweep.tasks.charts.span import Span
 from gaitsweep.tasks.charts.tuning import Tuning
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.gaits.newton import newton, newton_step
 from gaitsweep.tasks.gaits.step_check import verify_steps
 from gaitsweep.tasks.mechanics.lumped import Structure
@@ -404,7 +405,7 @@ class _Maker(Maker):
         )
         if len(kinds) == 1 and kinds[0] in LOCATED:
             slope = self.located_end(group, k, str(kinds[0]))
-            if kinds[0] == FOLD:
+            if kind_of(str(kinds[0])).turns_slope:
                 return _End(FOLD, slope)
             return _End(END, slope, vanishing=vanishing)
 

@@ -16,6 +16,7 @@ from gaitsweep.tasks.charts.chart import Chart
 from gaitsweep.tasks.charts.extension import Extension, Points
 from gaitsweep.tasks.charts.manifold import Region
 from gaitsweep.tasks.charts.tuning import Tuning
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.gaits.multipliers import other_multipliers
 from gaitsweep.tasks.mechanics.sums import norm
 
@@ -52,7 +53,10 @@ def vanishing_beside(extension: Extension) -> Region | None:
     it, where they vanish.
     """
     maker = extension.maker
-    for axis in range(maker.d if extension.kind == "fold" else 0):
+    if not extension.condition.kind.turns_slope:
+        return None
+
+    for axis in range(maker.d):
         if side := Tuning(maker.family, maker.box, axis).beside():
             with contextlib.suppress(Refused):
                 return Cut(extension, axis, side).region()
@@ -209,10 +213,10 @@ class Cut:
         return active[fair]
 
     def counts(self, Z: np.ndarray, unit: np.ndarray) -> np.ndarray:
-        """Whether gaits beside points (c, n) are stable; those of a speed count whether
-        they are or not.
+        """Whether gaits beside points (c, n) are stable; those of a value that is asked
+        for count whether they are or not.
         """
-        if self.kind == "speed" or not len(unit):
+        if kind_of(self.kind).is_asked_for or not len(unit):
             return np.ones(len(unit), bool)
         jacobian = evaluate(self.problem(unit), Z).stride.jacobian
         return other_multipliers(self.kind, jacobian) < 1

@@ -40,7 +40,7 @@ from gaitsweep.tasks.charts.maker import Maker
 from gaitsweep.tasks.charts.manifold import Manifold
 from gaitsweep.tasks.charts.manifold_maker import make_manifold
 from gaitsweep.tasks.charts.tuning import Tuning
-from gaitsweep.tasks.contract.kinds import RIVALS
+from gaitsweep.tasks.contract.kinds import RIVALS, kind_of
 from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
 from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
 from gaitsweep.tasks.step.sameness import SAME_GAIT, same
@@ -459,9 +459,9 @@ class _Surveyor:
         points = self.points[i]
         kind = str(points.kind[k])
         target = 0.0
-        if kind == "speed":
+        if kind_of(kind).is_asked_for:
             target = self.sought.log_speed or 0.0
-        if kind == "window":  # the nearer edge
+        if kind_of(kind).is_edge:  # the nearer one
             target = min(self.window, key=lambda q: abs(q - points.log_slope[k]))
         self.tried.add((kind, i, name))
         point = self.unit[i], points.Z[:, k]

@@ -15,4 +15,8 @@ BEYOND = "beyond"
 #: it is none.
 EVENTS = {name for name, kind in KINDS.items() if kind.ends == "walking"}
 #: Kinds at which pieces end that are located over keys.
-LOCATED = (EVENTS & set(CONDITIONS)) | {FOLD, "end_zero_step"}
+LOCATED = {
+    name
+    for name, kind in KINDS.items()
+    if (name in EVENTS or kind.turns_slope or kind.steps_vanish) and name in CONDITIONS
+}

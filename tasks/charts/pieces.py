@@ -11,6 +11,7 @@ import numpy as np
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.tracking import rate_of_steps
 from gaitsweep.tasks.charts.patch_ends import EVENTS, FOLD
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.gaits.polish import Guesses
 
 #: How far beyond a panel pieces are compared, in ln slope.
@@ -44,7 +45,8 @@ class Piece:
     @property
     def folds(self) -> tuple[bool, bool]:
         """Whether it begins and ends at a fold."""
-        return self.kinds[0] == FOLD, self.kinds[1] == FOLD
+        low, high = map(kind_of, self.kinds)
+        return low.turns_slope, high.turns_slope
 
     @property
     def end_errors(self) -> tuple[float, float]:
@@ -100,7 +102,7 @@ class Piece:
         with them: at a finite drive, whose distance from there grows as the square of
         their angle.
         """
-        return self.kinds[k] == "end_zero_step" and self.rate_beside(k) < FAST
+        return kind_of(self.kinds[k]).steps_vanish and self.rate_beside(k) < FAST
 
     @property
     def vanishing(self) -> tuple[float, float]:

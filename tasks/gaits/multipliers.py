@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy import ndarray
 
-from gaitsweep.tasks.contract.kinds import KINDS
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.mechanics.sums import norm, polynomial
 
 #: Radius around an eigenvalue that is tried, over that which a linear change would
@@ -233,7 +233,7 @@ def other_multipliers(kind: str, jacobian: ndarray) -> ndarray:
     values = _of_any(jacobian)
     sizes = np.abs(values)
     lanes = np.arange(len(values))
-    critical = KINDS[kind].critical if kind in KINDS else None
+    critical = kind_of(kind).critical
     if isinstance(critical, float):
         nearest = np.abs(values - critical).argmin(axis=1)
         sizes[lanes, nearest] = 0.0

@@ -291,15 +291,22 @@ def _curvature(
         moved[i] += h
         stride, _ = problem.stride(moved, log_slope)
         change = (stride.derivative - base.derivative)[:, : len(w)] / h
-        product = matvec(base.inverse[:, :, None], change)
-        weighted = np.abs(product * size / size[:, None])
-        lipschitz = np.maximum(lipschitz, total(weighted.swapaxes(0, 1)).max(axis=0))
+        moved_by = matvec(base.inverse[:, :, None], change)
+        lipschitz = np.maximum(lipschitz, _row_sum_norm(moved_by, size))
         gradient[:, i] = (characteristic(stride.jacobian) - polynomial) / h
 
     # Multipliers near zero have no size of their own: then 1 is their scale.
     scale = np.maximum(_largest(polynomial), 1.0)
     steepness = _largest(np.concatenate(gradient)) * h / scale
     return lipschitz, gradient / characteristic_scale(base)[:, None], steepness
+
+
+def _row_sum_norm(matrices: np.ndarray, size: np.ndarray) -> PerLane:
+    """Largest sum of a row's magnitudes, of matrices (k, k, n) of coordinates over their
+    sizes (k, n).
+    """
+    weighted = np.abs(matrices * size / size[:, None])
+    return np.asarray(total(weighted.swapaxes(0, 1)).max(axis=0))
 
 
 def _largest(values: np.ndarray) -> PerLane:

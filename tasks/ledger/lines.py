@@ -16,7 +16,7 @@ from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.root import bracketed_root
 from gaitsweep.tasks.branches.special_points import special_points
 from gaitsweep.tasks.branches.tracking import correct
-from gaitsweep.tasks.contract.kinds import KINDS
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.contract.registry import COSTLY, GAITS, VARIABLES
 from gaitsweep.tasks.contract.tables import Arrays
 from gaitsweep.tasks.gaits.multipliers import multipliers
@@ -272,7 +272,7 @@ class Line:
 
 
 def _exchanges_stability(kind: str) -> bool:
-    return kind in KINDS and KINDS[kind].exchanges_stability
+    return kind_of(kind).exchanges_stability
 
 
 #: A walker of the catalogue, and the keys that a line sets with their values.

@@ -541,11 +541,31 @@ class Steps:
         dict of ndarray, shape (n,)
             In the walker's units.
         """
-        walker, stride = self.walker, self.stride
+        measured = self._states_and_times() | self._work_of_drive()
+        groups = {VARIABLES[name].group for name in want}
+        if "energy" in groups:
+            measured |= self._losses()
+        if "violations" in groups:
+            measured |= self._violations(limits)
+
+        # What other packages add may be made of all that is measured.
+        for name in want:
+            function = VARIABLES[name].measure
+            if function is not None:
+                values = np.asarray(function(self, measured), float)
+                of_lanes = np.broadcast_to(values, self.slope.shape)
+                measured[name] = np.array(of_lanes)
+
+        return measured
+
+    def _states_and_times(self) -> Arrays:
+        """What costs little: states, times and lengths of the steps."""
+        walker = self.walker
         time_unit = walker.time_unit
-        angle, end = self.y[0], self.y[0][self.after]
+        angle = self.y[0]
+        end = angle[self.after]
         rates = self.state[self.problem.map.start_size // 2 :] / time_unit
-        ratio = gait_ratio(stride)
+        ratio = gait_ratio(self.stride)
         measured = {
             "stance_angle": angle,
             "stance_rate": rates[0],
@@ -558,19 +578,6 @@ class Steps:
         }
         if walker.knees:
             measured["kneestrike_time"] = self.times[0] * time_unit
-        measured |= self._work_of_drive()
-        if any(VARIABLES[name].group == "energy" for name in want):
-            measured |= self._losses()
-        if any(VARIABLES[name].group == "violations" for name in want):
-            measured |= self._violations(limits)
-        for name in want:
-            if function := VARIABLES[name].measure:
-                measured[name] = np.array(
-                    np.broadcast_to(
-                        np.asarray(function(self, measured), float), self.slope.shape
-                    )
-                )
-
         return measured
 
     @cached_property

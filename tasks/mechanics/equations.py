@@ -125,6 +125,17 @@ class _Coupling:
     by_swing: Sym
 
 
+@dataclass(frozen=True)
+class _Factors:
+    """What derivatives are multiplied by: eps, and the square of the scale, once by each
+    angle.
+    """
+
+    eps: Sym
+    square: Sym
+    eps_square: Sym
+
+
 class Motion:
     """Equations of motion M q'' = f in scaled coordinates, and their first variations.
 
@@ -154,27 +165,28 @@ class Motion:
         self.rate = rate
         self.square = [x**2.0 for x in rate]
         self.scale = p.hold(p.scale)
-        self.tilt = []
-        for x in q:
-            tilt = self.scale * x - p.hold(p.slope)
-            self.tilt.append((hy.sin(tilt), hy.cos(tilt)))
-
+        self.tilt = [self._tilt(x) for x in q]
         # These rotate constants of angles measured from the ground's normal.
         self.slope_trig = hy.sin(p.slope), hy.cos(p.slope)
 
-        links = [(p.S_b, p.C_bb), (p.S_c, p.C_cc)] if free_knee else [p.locked()]
-        self.moments = [p.S_a, *(S for S, _ in links)]
+        swing = [p.locked()]
+        if free_knee:
+            swing = [(p.S_b, p.C_bb), (p.S_c, p.C_cc)]
+        self.moments = [p.S_a]
         self.M = _zeros(len(q))
         self.f = [ZERO] * len(q)
-        self._add_stance()
-        self.couplings = []
-        for j, (S, C) in enumerate(links, start=1):
-            coupling = self._add_swing(j, S, C)
-            self.couplings.append(coupling)
 
+        self._add_stance()
+        self.couplings: list[_Coupling] = []
+        for moment, inertia in swing:
+            self._add_swing(moment, inertia)
         self._add_joints()
-        _, last_inertia = links[-1]
-        self.last_pivot = p.hold(ONE / last_inertia)
+        self.last_pivot = p.hold(ONE / inertia)
+
+    def _tilt(self, x: Sym) -> tuple[Sym, Sym]:
+        """Sine and cosine of a scaled angle, taken from the vertical."""
+        angle = self.scale * x - self.p.hold(self.p.slope)
+        return hy.sin(angle), hy.cos(angle)
 
     def _add_joints(self) -> None:
         """Add the coupling of thigh and shank, and what acts between the thighs."""
@@ -193,28 +205,43 @@ class Motion:
         self.M[0][0] = p.hold(p.C_aa) + 2.0 * self.y
         weight = p.rotate(p.S_a, ONE / p.scale, self.tilt[0]).x
         rolling_down = p.hold(p.R * sine / p.scale)
-        self.f[0] = -(self.m * self.square[0]) - weight - rolling_down
+        centrifugal = self.m * self.square[0]
+        self.f[0] = -centrifugal - weight - rolling_down
 
-    def _add_swing(self, j: int, S: Vector, C: Sym) -> _Coupling:
-        """The row of swing link j, of first moment S and inertia C, and its coupling to
-        the stance leg.
+    def _add_swing(self, S: Vector, C: Sym) -> None:
+        """The row of the next swing link, of first moment S and inertia C, and its
+        coupling to the stance leg.
         """
+        p = self.p
+        self.moments.append(S)
+        j = len(self.couplings) + 1
+        link = self._coupling(S, j)
+        self.couplings.append(link)
+
+        self.M[0][j] = self.eps * link.k
+        self.M[j][0] = link.k
+        self.M[j][j] = p.hold(C)
+
+        on_stance = link.by_swing * self.square[j]
+        on_swing = link.by_stance * self.square[0]
+        weight = p.rotate(S, ONE / p.scale, self.tilt[j]).x
+        self.f[0] = self.f[0] - self.eps * on_stance
+        self.f[j] = -on_swing - weight
+
+    def _coupling(self, S: Vector, j: int) -> _Coupling:
+        """The coupling of the stance leg and swing link j, of first moment S."""
         p = self.p
         trig = self._between(0, j)
         K = Vector(p.l * S.y, -p.l * S.x)
-        roll, roll_by = self._rolling(S, j)
+        roll, roll_by_swing = self._rolling(S, j)
         c = p.rotate(K, ONE, trig).x
         by_stance = p.rotate(K, p.scale, trig).y
-        k = c + roll
-        by_swing = roll_by - by_stance
-
-        self.M[0][j] = self.eps * k
-        self.M[j][0] = k
-        self.M[j][j] = p.hold(C)
-        self.f[0] = self.f[0] - self.eps * (by_swing * self.square[j])
-        weight = p.rotate(S, ONE / p.scale, self.tilt[j]).x
-        self.f[j] = -(by_stance * self.square[0]) - weight
-        return _Coupling(c, k, by_stance, by_swing)
+        return _Coupling(
+            c=c,
+            k=c + roll,
+            by_stance=by_stance,
+            by_swing=roll_by_swing - by_stance,
+        )
 
     def _add_knee(self) -> None:
         """The coupling of thigh and shank."""
@@ -222,9 +249,12 @@ class Motion:
         trig = self._between(1, 2)
         self.h = p.rotate(p.H, ONE, trig).x
         self.h_by = p.rotate(p.H, p.scale, trig).y
-        self.M[1][2] = self.M[2][1] = self.h
-        self.f[1] = self.f[1] + self.h_by * self.square[2]
-        self.f[2] = self.f[2] - self.h_by * self.square[1]
+        self.M[1][2] = self.h
+        self.M[2][1] = self.h
+        on_thigh = self.h_by * self.square[2]
+        on_shank = self.h_by * self.square[1]
+        self.f[1] = self.f[1] + on_thigh
+        self.f[2] = self.f[2] - on_shank
 
     def _add_hip_torque(self) -> None:
         """The torque of spring, damper and motor on the swing thigh, and against it on
@@ -234,8 +264,10 @@ class Motion:
         self.stiffness = p.hold(p.hip_stiffness)
         self.damping = p.hold(p.hip_damping)
         bias = p.hold(p.hip_bias / p.scale)
-        of_spring = self.stiffness * (self.q[1] - self.q[0])
-        of_damper = self.damping * (self.rate[1] - self.rate[0])
+        opening = self.q[1] - self.q[0]
+        opening_rate = self.rate[1] - self.rate[0]
+        of_spring = self.stiffness * opening
+        of_damper = self.damping * opening_rate
         torque = bias - of_spring - of_damper
         self.f[0] = self.f[0] - self.eps * torque
         self.f[1] = self.f[1] + torque
@@ -255,40 +287,76 @@ class Motion:
         if self.p.held_values is not None:
             angle = self.scale * (self.q[j] - self.q[i])
             return hy.sin(angle), hy.cos(angle)
-        (si, ci), (sj, cj) = self.tilt[i], self.tilt[j]
-        return sj * ci - cj * si, cj * ci + sj * si
+
+        sine_i, cosine_i = self.tilt[i]
+        sine_j, cosine_j = self.tilt[j]
+        sine = sine_j * cosine_i - cosine_j * sine_i
+        cosine = cosine_j * cosine_i + sine_j * sine_i
+        return sine, cosine
 
     def differentiate(self, u: list[Sym]) -> tuple[list[list[Sym]], list[list[Sym]]]:
         """Derivatives of the residual M u - f at the accelerations u, by the angles and
         by the rates.
         """
         p = self.p
-        eps = p.hold(p.eps)
-        s2 = p.hold(p.scale * p.scale)
-        eps_s2 = p.hold(p.eps * p.scale * p.scale)
-        falling = self._weights(ONE)
-        twice = [2.0 * x for x in self.rate]
-        square = self.square
+        factors = _Factors(
+            eps=p.hold(p.eps),
+            square=p.hold(p.scale * p.scale),
+            eps_square=p.hold(p.eps * p.scale * p.scale),
+        )
+        weights = self._weights(ONE)
         by_q = _zeros(len(u))
         by_rate = _zeros(len(u))
 
-        by_stance = 2.0 * (self.m * u[0]) - s2 * (self.y * square[0]) - falling[0]
-        by_rate[0][0] = self.m * twice[0]
-        for j, link in enumerate(self.couplings, start=1):
-            by_stance = by_stance + eps * (link.by_stance * u[j])
-            by_stance = by_stance + eps_s2 * (link.c * square[j])
-            swung = eps * (link.by_swing * u[j])
-            by_q[0][j] = swung - eps_s2 * (link.k * square[j])
-            by_rate[0][j] = eps * (link.by_swing * twice[j])
-
-            lag = s2 * (link.c * square[0])
-            by_q[j][0] = link.by_stance * u[0] - lag
-            by_q[j][j] = link.by_swing * u[0] + lag - falling[j]
-            by_rate[j][0] = link.by_stance * twice[0]
-
-        by_q[0][0] = by_stance
+        self._differentiate_stance(factors, weights[0], u, by_q[0], by_rate[0])
+        for j in range(1, len(u)):
+            self._differentiate_swing(j, factors, weights[j], u[0], by_q[j], by_rate[j])
         self._differentiate_joints(u, by_q, by_rate)
         return by_q, by_rate
+
+    def _differentiate_stance(
+        self,
+        factors: _Factors,
+        weight: Sym,
+        u: list[Sym],
+        by_q: list[Sym],
+        by_rate: list[Sym],
+    ) -> None:
+        """Set the derivatives of the stance leg's own row."""
+        leaning = 2.0 * (self.m * u[0])
+        lifted = self.y * self.square[0]
+        by_q[0] = leaning - factors.square * lifted - weight
+        by_rate[0] = self.m * (2.0 * self.rate[0])
+
+        for j, link in enumerate(self.couplings, start=1):
+            by_stance = link.by_stance * u[j]
+            by_swing = link.by_swing * u[j]
+            turned_by_stance = link.c * self.square[j]
+            turned_by_swing = link.k * self.square[j]
+            faster = link.by_swing * (2.0 * self.rate[j])
+
+            by_q[0] = by_q[0] + factors.eps * by_stance
+            by_q[0] = by_q[0] + factors.eps_square * turned_by_stance
+            by_q[j] = factors.eps * by_swing - factors.eps_square * turned_by_swing
+            by_rate[j] = factors.eps * faster
+
+    def _differentiate_swing(
+        self,
+        j: int,
+        factors: _Factors,
+        weight: Sym,
+        stance: Sym,
+        by_q: list[Sym],
+        by_rate: list[Sym],
+    ) -> None:
+        """Set the derivatives of the row of swing link j, at an acceleration of the stance
+        leg.
+        """
+        link = self.couplings[j - 1]
+        lag = factors.square * (link.c * self.square[0])
+        by_q[0] = link.by_stance * stance - lag
+        by_q[j] = link.by_swing * stance + lag - weight
+        by_rate[0] = link.by_stance * (2.0 * self.rate[0])
 
     def _differentiate_joints(
         self, u: list[Sym], by_q: list[list[Sym]], by_rate: list[list[Sym]]
@@ -310,11 +378,13 @@ class Motion:
         """Add the derivatives of the coupling of thigh and shank."""
         s2 = self.p.hold(self.p.scale * self.p.scale)
         for j, other, sign in ((1, 2, 1.0), (2, 1, -1.0)):
-            turning = sign * (s2 * (self.h * self.square[other]))
-            bend = self.h_by * u[other] + turning
+            turned = s2 * (self.h * self.square[other])
+            bend = self.h_by * u[other] + sign * turned
+            faster = self.h_by * (2.0 * self.rate[other])
+
             by_q[j][1] = by_q[j][1] + bend
             by_q[j][2] = by_q[j][2] - bend
-            by_rate[j][other] = -sign * (self.h_by * (2.0 * self.rate[other]))
+            by_rate[j][other] = -sign * faster
 
     def _differentiate_hip_torque(
         self, by_q: list[list[Sym]], by_rate: list[list[Sym]]
@@ -375,23 +445,31 @@ class Solver:
         # The stance row is eliminated last: without a foot mass its coupling vanishes,
         # and the elimination with it.
         for k in reversed(range(n)):
-            is_known = last is not None and k == n - 1
-            self.pivots[k] = last if is_known else ONE / self.U[k][k]
+            pivot_row = self.U[k]
+            pivot = ONE / pivot_row[k]
+            if last is not None and k == n - 1:
+                pivot = last
+            self.pivots[k] = pivot
+
             for i in reversed(range(k)):
-                factor = self.U[i][k] * self.pivots[k]
+                row = self.U[i]
+                factor = row[k] * pivot
                 self.factors.append((i, k, factor))
                 for j in range(k):
-                    self.U[i][j] = self.U[i][j] - factor * self.U[k][j]
+                    row[j] = row[j] - factor * pivot_row[j]
 
     def __call__(self, f: list[Sym]) -> list[Sym]:
         """Solution x of M x = f."""
         f = list(f)
         for i, k, factor in self.factors:
             f[i] = f[i] - factor * f[k]
+
         x: list[Sym] = []
-        for i in range(len(f)):
-            others = sum((self.U[i][j] * x[j] for j in range(i)), ZERO)
-            x.append((f[i] - others) * self.pivots[i])
+        for row, pivot, value in zip(self.U, self.pivots, f, strict=True):
+            others = ZERO
+            for coefficient, known in zip(row, x, strict=False):
+                others = others + coefficient * known
+            x.append((value - others) * pivot)
 
         return x
 
@@ -454,7 +532,8 @@ def system(
     motion = Motion(p, q, rate, free_knee)
     solve = Solver(motion.M, motion.last_pivot)
     acceleration = solve(motion.f)
-    equations = [*zip(q, rate, strict=True), *zip(rate, acceleration, strict=True)]
+    equations = list(zip(q, rate, strict=True))
+    equations += zip(rate, acceleration, strict=True)
 
     if directions:
         by_q, by_rate = motion.differentiate(acceleration)
@@ -467,7 +546,8 @@ def system(
             change = [a + b for a, b in zip(change, by_drive, strict=True)]
 
         variation = solve([-x for x in change])
-        equations += [*zip(dq, dv, strict=True), *zip(dv, variation, strict=True)]
+        equations += zip(dq, dv, strict=True)
+        equations += zip(dv, variation, strict=True)
 
     if dissipates:
         equations.append(_dissipated(rate))
@@ -476,7 +556,8 @@ def system(
 
 def _dissipated(rate: list[Sym]) -> tuple[Sym, Sym]:
     """The equation of what a damper of unit damping between the thighs dissipates."""
-    return hy.make_vars("w"), (rate[1] - rate[0]) ** 2.0
+    opening_rate = rate[1] - rate[0]
+    return hy.make_vars("w"), opening_rate**2.0
 
 
 def _variables(name: str, n: int) -> list[Sym]:
@@ -490,6 +571,9 @@ def _product(
     """A x + B y."""
     both = []
     for a, b in zip(A, B, strict=True):
-        terms = [a[j] * x[j] + b[j] * y[j] for j in range(len(x))]
-        both.append(sum(terms, ZERO))
+        value = ZERO
+        for j, (of_x, of_y) in enumerate(zip(a, b, strict=True)):
+            value = value + (of_x * x[j] + of_y * y[j])
+        both.append(value)
+
     return both

@@ -77,35 +77,43 @@ def _lump_all(walkers: WalkerArray, number: type) -> dict[str, PerLane]:
     leg = _Leg(walkers, number)
     massless = walkers.massless_legs
     eps, m_t, m_s = _masses(leg, massless)
-    S_b = leg.thigh * m_t + leg.knee * m_s
-    S_c = leg.shank * m_s
+    swing = _of_links(leg, m_t, m_s)
     if walkers.knees:
-        S_b = _aligned(S_b)
-        S_c = _aligned(S_c)
+        swing["S_b"] = _aligned(swing["S_b"])
+        swing["S_c"] = _aligned(swing["S_c"])
 
-    knee = leg.knee
-    of_thigh = m_t * _square(leg, leg.thigh, leg.key.r_t)
-    C_bb = of_thigh + m_s * knee.dot(knee)
-    C_cc = m_s * _square(leg, leg.shank, leg.key.r_s)
     # H = conj(knee) S_c.
+    knee = leg.knee
+    S_c = swing["S_c"]
     across = knee.x * S_c.y - knee.y * S_c.x
     H = Vector(knee.dot(S_c), across)
 
-    S = _aligned(S_b + S_c)
-    inertia = C_bb + C_cc + leg.two * H.x
-    of_drive = _of_drive(leg, inertia, massless)
+    # Of the whole leg, its knee straight.
+    S = _aligned(swing["S_b"] + S_c)
+    inertia = swing["C_bb"] + swing["C_cc"] + leg.two * H.x
     if walkers.knees:
-        swing = {
-            "S_b": S_b / inertia,
-            "C_bb": C_bb / inertia,
-            "S_c": S_c / inertia,
-            "C_cc": C_cc / inertia,
-            "H": _aligned(H) / inertia,
-        }
+        swing["H"] = _aligned(H)
+        over_inertia = {name: value / inertia for name, value in swing.items()}
     else:
-        swing = {"S_b": S / inertia, "C_bb": leg.one}
+        over_inertia = {"S_b": S / inertia, "C_bb": leg.one}
 
-    return _in_parts(_of_stance(leg, S, eps, inertia) | swing | of_drive)
+    of_stance = _of_stance(leg, S, eps, inertia)
+    of_drive = _of_drive(leg, inertia, massless)
+    return _in_parts(of_stance | over_inertia | of_drive)
+
+
+def _of_links(leg: _Leg, m_t: PerLane, m_s: PerLane) -> dict[str, Any]:
+    """First and second moments about the hip of the swing leg's links, by the masses of
+    thigh and shank: `S_b` and `C_bb` of a thigh with the shank's mass at the knee, `S_c`
+    and `C_cc` of the shank about the knee.
+    """
+    of_thigh = m_t * _square(leg, leg.thigh, leg.key.r_t)
+    return {
+        "S_b": leg.thigh * m_t + leg.knee * m_s,
+        "C_bb": of_thigh + m_s * leg.knee.dot(leg.knee),
+        "S_c": leg.shank * m_s,
+        "C_cc": m_s * _square(leg, leg.shank, leg.key.r_s),
+    }
 
 
 def _masses(leg: _Leg, massless: Marks) -> tuple[PerLane, PerLane, PerLane]:

@@ -75,28 +75,42 @@ def heelstrike(body: Body, angle: arb) -> tuple[arb_mat, arb_mat]:
     with _two_terms():
         old = _sin_cos(arb_series([angle, 1]))
         new = _sin_cos(arb_series([-angle, -1]))
-        swing = [body.thigh, body.shank] if body.frees_trailing_knee else [body.leg]
+        swing = [body.leg]
+        if body.frees_trailing_knee:
+            swing = [body.thigh, body.shank]
         rows = _mass(body, new, [old] * len(swing), swing)
-        hip_before, hip_after = _hip(body, old), _hip(body, new)
-        leg, inertia = body.leg
-        # New stance leg: it carries the whole walker about the new contact, and swung
-        # before.
-        turning = leg.turned(*new).normal()
-        falling = leg.turned(*old).normal()
-        both = body.mass * hip_after.dot(hip_before)
-        if body.heavy:
-            both = both + turning.dot(hip_before) + falling.dot(hip_after)
-            spin = hip_after.dot(turning) + inertia
-        else:
-            spin = 0 * both
 
-        before = [[both, spin]]
-        for first, second in swing:
-            own = second + (body.coupling.x if body.frees_trailing_knee else 0)
-            carried = first.turned(*old).normal().dot(hip_before)
-            before.append([carried + own, 0 * both])
+        before = [_about_contact(body, old, new)]
+        hip_before = _hip(body, old)
+        for first, inertia in swing:
+            own = inertia
+            if body.frees_trailing_knee:
+                own = inertia + body.coupling.x
+            falling = first.turned(*old).normal()
+            carried = falling.dot(hip_before)
+            before.append([carried + own, 0 * carried])
 
         return _solved(rows, before)
+
+
+def _about_contact(
+    body: Body, old: tuple[arb_series, arb_series], new: tuple[arb_series, arb_series]
+) -> list[arb_series]:
+    """Angular momentum of the whole walker about the new contact just before heelstrike,
+    by the rates of the old stance leg and of the swing leg, which is the new one.
+    """
+    hip_before = _hip(body, old)
+    hip_after = _hip(body, new)
+    both = body.mass * hip_after.dot(hip_before)
+    if not body.heavy:
+        return [both, 0 * both]
+
+    leg, inertia = body.leg
+    turning = leg.turned(*new).normal()
+    falling = leg.turned(*old).normal()
+    both = both + turning.dot(hip_before) + falling.dot(hip_after)
+    spin = hip_after.dot(turning) + inertia
+    return [both, spin]
 
 
 def kneestrike(body: Body, stance: arb, swing: arb) -> tuple[arb_mat, arb_mat, arb_mat]:

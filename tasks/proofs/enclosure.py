@@ -105,33 +105,83 @@ def flow(
     NotProvedError
         If no enclosure is found.
     """
-    order = accuracy.order
+    of_middle, of_all = slopes
+    order = accuracy.order - 1
     state = box
-    time, end = arb(0), duration[1].upper()
+    time = arb(0)
+    end = duration[1].upper()
+    longest = MAX_STEP * body.time_unit
+    length = longest
     pieces: list[Piece] = []
-    step = longest = MAX_STEP * body.time_unit
     while len(pieces) < MAX_STEPS:
         remaining = (end - time).upper()
-        h = _next_length(remaining, step)
-        thin = Motion(body, slopes[0], middle, order - 1)
-        wide = Motion(body, slopes[1], state, order - 1)
-        change = Variation(wide, derivative, by_slope, order - 1)
-        h, (rest, rest_derivative), excess = _fitting(change, h, accuracy)
-        pieces.append(Piece(time, h, _closed(wide, rest)))
+        h = _next_length(remaining, length)
+        thin = Motion(body, of_middle, middle, order)
+        wide = Motion(body, of_all, state, order)
+        change = Variation(wide, derivative, by_slope, order)
+        step = _taylor_step(thin, change, h, accuracy)
+        pieces.append(Piece(time, step.h, step.wide))
 
-        is_last = h is remaining
-        of_middle, of_all = _left(duration, time) if is_last else (h, h)
-        middle = _evaluated(_closed(thin, rest), of_middle)
-        state = _evaluated(pieces[-1].series, of_all)
-        derivative = evaluate([*change.terms, rest_derivative], of_all)
-        if is_last:
+        if step.h is remaining:
+            middle, state, derivative = step.at(*_left(duration, time))
             return Flow(middle, state, derivative, pieces)
 
+        middle, state, derivative = step.at(step.h, step.h)
         state = narrower(state, middle, derivative, spread)
-        time = time + h
-        step = min(longest, float(h) * _longer(excess, order))
+        time = time + step.h
+        length = min(longest, step.next_length(accuracy.order))
 
     raise NotProvedError(f"The phase takes more than {MAX_STEPS} Taylor steps.")
+
+
+@dataclass(frozen=True)
+class _TaylorStep:
+    """One step of a phase.
+
+    Attributes
+    ----------
+    h : arb
+        Its length.
+    thin, wide : list of series
+        Of the middle's motion and of all, remainder included.
+    change : list of arb_mat
+        Coefficients of the derivatives, remainder included.
+    excess : float
+        Of the remainder over what it may be.
+    """
+
+    h: arb
+    thin: list[Series]
+    wide: list[Series]
+    change: list[arb_mat]
+    excess: float
+
+    def at(self, of_middle: arb, of_all: arb) -> tuple[State, State, arb_mat]:
+        """The middle's state at a time, and all states, and derivatives, at another."""
+        middle = _evaluated(self.thin, of_middle)
+        state = _evaluated(self.wide, of_all)
+        return middle, state, evaluate(self.change, of_all)
+
+    def next_length(self, order: int) -> float:
+        """How long the next step may be, by the excess of this one's remainder."""
+        longer = 0.85 * max(self.excess, 1e-9) ** (-1 / order)
+        return float(self.h) * min(1.5, longer)
+
+
+def _taylor_step(
+    thin: Motion, change: Variation, h: arb, accuracy: Accuracy
+) -> _TaylorStep:
+    """A step of the middle's motion and of all, with their derivatives, no longer than
+    h.
+    """
+    h, (rest, rest_derivative), excess = _fitting(change, h, accuracy)
+    return _TaylorStep(
+        h=h,
+        thin=_closed(thin, rest),
+        wide=_closed(change.motion, rest),
+        change=[*change.terms, rest_derivative],
+        excess=excess,
+    )
 
 
 def _next_length(remaining: arb, longest: float) -> arb:
@@ -153,11 +203,6 @@ def _left(duration: tuple[arb, arb], time: arb) -> tuple[arb, arb]:
             "The bracket of an event's time is wider than a Taylor step."
         )
     return of_middle, of_all
-
-
-def _longer(excess: float, order: int) -> float:
-    """How much longer the next step may be, by the excess of this one's remainder."""
-    return min(1.5, 0.85 * max(excess, 1e-9) ** (-1 / order))
 
 
 def _fitting(

@@ -22,6 +22,8 @@ from gaitsweep.tasks.proofs.stability import is_stable, multipliers, step_deriva
 FIRST_RADIUS, MAX_CORRECTION = 1e-12, 1e-6
 #: A step's remainders are this much smaller than the box.
 REMAINDER = 1e-9
+#: A box that shows nothing is followed by one so much smaller.
+_SHRINK = 1e-4
 MIN_BITS, MAX_ATTEMPTS = 106, 6
 #: A second box, where the first leaves stability open, is this much smaller than asked.
 SHARPER = 1e-12
@@ -208,20 +210,21 @@ def solve(
         If Krawczyk's operator does not map a box into itself.
     """
     middle = _unknowns(setting, guess)
-    corrected, size, bits = 0.0, FIRST_RADIUS, MIN_BITS
+    corrected = 0.0
+    size = FIRST_RADIUS
+    bits = MIN_BITS
     for _ in range(MAX_ATTEMPTS):
         tolerance = min(size * REMAINDER, accuracy)
         bits = max(bits, 32 - math.floor(math.log2(tolerance)))
         with ctx.workprec(bits):
             walker = setting.body()
-            scales = sizes(walker, middle)
-            box = [x + arb(0, size * s) for x, s in zip(middle, scales, strict=True)]
+            box = _box(walker, middle, size)
             slope = arb(setting.slope)
             try:
                 enclosed_step, K = _attempt(walker, slope, middle, box, tolerance)
             except (NotProvedError, ZeroDivisionError) as error:
                 reason = _sentence(error)
-                size *= 1e-4
+                size *= _SHRINK
                 continue
 
             if _holds_with_room(box, K):
@@ -230,23 +233,39 @@ def solve(
                     return Solution(walker, K, enclosed_step, bits)
                 reason = f"The radius is {achieved:.1e}, above the accuracy of {accuracy:.1e}."
                 size = 16 * achieved
-            else:
-                reason = "Krawczyk's operator does not map the box into itself."
-                shift = _distance(walker, middle, K)
-                if shift < 0.5 * size:
-                    size *= 1e-4
-                    continue
+                middle = _middle(K)
+                continue
 
-                corrected += shift
-                if not corrected < reach:
-                    raise NotProvedError(
-                        "No gait is near the approximation: its first correction is "
-                        f"{shift:.1e} of it."
-                    )
+            reason = "Krawczyk's operator does not map the box into itself."
+            shift = _distance(walker, middle, K)
+            if shift < 0.5 * size:
+                size *= _SHRINK
+                continue
 
-            middle = [x.mid() for x in K]
+            corrected += shift
+            if not corrected < reach:
+                raise NotProvedError(_far(shift))
+            middle = _middle(K)
 
     raise NotProvedError(reason)
+
+
+def _box(walker: Body, middle: list[arb], size: float) -> list[arb]:
+    """A box about a point, of a relative size."""
+    scales = sizes(walker, middle)
+    return [x + arb(0, size * scale) for x, scale in zip(middle, scales, strict=True)]
+
+
+def _middle(box: list[arb]) -> list[arb]:
+    """The middle of a box."""
+    return [x.mid() for x in box]
+
+
+def _far(shift: float) -> str:
+    """Why an approximation is none."""
+    return (
+        f"No gait is near the approximation: its first correction is {shift:.1e} of it."
+    )
 
 
 def _holds_with_room(box: list[arb], image: list[arb]) -> bool:

@@ -245,25 +245,45 @@ def _tuning(keys: Numbers, kneed: bool) -> Iterator[tuple[str, arb, arb]]:
     point at the knee.
     """
     k = {name: arb(value) for name, value in keys.items()}
-    sine_T, cosine_T = k["eps_T"].sin(), k["eps_T"].cos()
+    sine_T = k["eps_T"].sin()
+    cosine_T = k["eps_T"].cos()
+    sine = arb(0)
     # A straight leg may end at its foot's centre: then the shank has no length to lean
     # with.
-    sine = k["l_t"] * sine_T / (k["l_s"] - k["R"]) if keys["eps_T"] != 0 else arb(0)
+    if keys["eps_T"] != 0:
+        below_knee = k["l_s"] - k["R"]
+        sine = k["l_t"] * sine_T / below_knee
     cosine = (1 - sine * sine).sqrt()
+
     along = k["c_s"] * cosine + k["w_s"] * sine
     if kneed:
-        yield "w_s", k["c_s"] * sine / cosine, abs(along) / cosine
+        offset = k["c_s"] * sine / cosine
+        yield "w_s", offset, abs(along) / cosine
+
     # Of the shank, forward of the hip-foot-centre line through the hip, and down along
     # it.
-    forward, down = -k["l_t"] * sine_T, k["l_t"] * cosine_T
+    forward = -k["l_t"] * sine_T
+    down = k["l_t"] * cosine_T
     if not kneed:
+        # `w_s` may have been replaced by the exact offset since.
         forward += k["c_s"] * sine - arb(keys["w_s"]) * cosine
         down += along
 
     if keys["m_t"] != 0:
-        shank = k["m_s"] / k["m_t"]
-        size = abs(k["c_t"] * cosine_T - k["w_t"] * sine_T + shank * down) / cosine_T
-        yield "w_t", (shank * forward - k["c_t"] * sine_T) / cosine_T, size
+        yield "w_t", *_tuning_of_thigh(k, sine_T, cosine_T, forward, down)
+
+
+def _tuning_of_thigh(
+    k: dict[str, arb], sine: arb, cosine: arb, forward: arb, down: arb
+) -> tuple[arb, arb]:
+    """The offset of the thigh that puts the leg's centre of mass on its line, and the
+    change of it that moves that centre by its distance from the hip; the shank is a
+    point `forward` of the line and `down` along it.
+    """
+    shank = k["m_s"] / k["m_t"]
+    height = k["c_t"] * cosine - k["w_t"] * sine + shank * down
+    offset = (shank * forward - k["c_t"] * sine) / cosine
+    return offset, abs(height) / cosine
 
 
 def _named(name: str) -> tuple[Numbers, bool]:

@@ -36,7 +36,9 @@ def product(u: Series, v: Series, k: int) -> arb:
     -------
     arb
     """
-    return sum(map(mul, u[: k + 1], v[k::-1]), _ZERO)
+    rising = u[: k + 1]
+    falling = v[k::-1]
+    return sum(map(mul, rising, falling), _ZERO)
 
 
 _ZERO = arb(0)
@@ -60,10 +62,10 @@ class _Turning:
 
     def turned(self, v: Vector, k: int) -> tuple[arb, arb]:
         """Coefficient k of a turned vector."""
-        cos, sin = self.cos[k], self.sin[k]
+        cos = self.cos[k]
+        sin = self.sin[k]
         x = v.x * cos - v.y * sin
         y = v.x * sin + v.y * cos
-
         return x, y
 
 
@@ -90,15 +92,24 @@ class Motion:
         self.n = len(state) // 2
         self.slope = slope
         self.state = list(state)
-        q, w = state[: self.n], state[self.n :]
+        self.links = [body.leg]
+        if self.n == 3:
+            self.links = [body.thigh, body.shank]
+
+        q = state[: self.n]
+        w = state[self.n :]
         self.q: list[Series] = [[x] for x in q]
         self.w: list[Series] = [[x] for x in w]
         self.a: list[Series] = [[] for _ in q]
-        self.links = [body.leg] if self.n == 2 else [body.thigh, body.shank]
         self._weigh()
         self._relate(q, w)
+        self._begin_moments()
+        for _ in range(order):
+            self.grow()
 
-        self.squares: list[Series] = [[] for _ in q]
+    def _begin_moments(self) -> None:
+        """Set the series, empty yet, of what the equations of motion are made of."""
+        self.squares: list[Series] = [[] for _ in self.q]
         # R times the stance leg's turned first moment.
         self.stance: Pair = ([], [])
         # Of each link the moment of its weight, (cos, sin) parts.
@@ -111,19 +122,19 @@ class Motion:
         self.mass_00: Series = []
         self.inverse = arb_mat(0, 0)
 
-        for _ in range(order):
-            self.grow()
-
     def _weigh(self) -> None:
         """Set the moments of weights, and of the pull along the slope."""
         body = self.body
         sin, cos = self.slope.sin_cos()
         # Turns a first moment into its weight's moment.
         pull = Vector(cos, -sin) * body.g
-        moments = [body.stance_first, *(first for first, _ in self.links)]
+        moments = [body.stance_first]
+        moments += [first for first, _ in self.links]
         self.weights = [first.turned(pull.x, pull.y) for first in moments]
-        self.rolling = body.g * body.mass * body.R * sin
-        self.sinking = body.g * body.mass * body.R * cos
+
+        of_foot = body.g * body.mass * body.R
+        self.rolling = of_foot * sin
+        self.sinking = of_foot * cos
 
     def _relate(self, q: Sequence[arb], w: Sequence[arb]) -> None:
         """Set the angles of links, and those between them, with their rates."""
@@ -149,13 +160,12 @@ class Motion:
         them.
         """
         k = len(self.a[0])
-
         if k:
             for turning in self.turnings:
                 turning.grow(k)
-
         for square, w in zip(self.squares, self.w, strict=True):
             square.append(product(w, w, k))
+
         self._geometry(k)
         force = self._force(k)
         if k:
@@ -163,36 +173,46 @@ class Motion:
         else:
             self.inverse = self._leading_masses().inv()
 
-        solved = self.inverse * arb_mat(self.n, 1, force)
+        column = arb_mat(self.n, 1, force)
+        accelerations = self.inverse * column
+        self._append_accelerations(k, accelerations.entries())
 
-        for i, a in enumerate(solved.entries()):
-            self.a[i].append(a)
-            self.q[i].append(self.w[i][k] / (k + 1))
-            self.w[i].append(a / (k + 1))
+    def _append_accelerations(self, k: int, accelerations: list[arb]) -> None:
+        """Append coefficient k of the accelerations, and the next one of angles, rates
+        and differences of rates.
+        """
+        links = zip(self.q, self.w, self.a, accelerations, strict=True)
+        for q, w, a, acceleration in links:
+            a.append(acceleration)
+            q.append(w[k] / (k + 1))
+            w.append(acceleration / (k + 1))
 
-        rates = [w[k + 1] for w in self.w]
-
-        for lag, rate in zip(self.lag, rates[1:], strict=True):
-            lag.append(rate - rates[0])
+        stance, *swing = (w[k + 1] for w in self.w)
+        for lag, rate in zip(self.lag, swing, strict=True):
+            lag.append(rate - stance)
         if self.n == 3:
-            self.flexing.append(rates[2] - rates[1])
+            thigh, shank = swing
+            self.flexing.append(shank - thigh)
 
     def _subtract_inertia(self, force: list[arb], k: int) -> None:
         """Subtract from forces the accelerations before the k-th, times the coefficients
         of the masses.
         """
         for i in range(self.n):
-            for j in range(self.n):
-                M = self.mass(i, j)
-                if M is not None:
-                    terms = map(mul, M[1 : k + 1], self.a[j][k - 1 :: -1])
-                    force[i] -= sum(terms, _ZERO)
+            for j, a in enumerate(self.a):
+                mass = self.mass(i, j)
+                if mass is not None:
+                    before = product(mass[1:], a, k - 1)
+                    force[i] -= before
 
     def _leading_masses(self) -> arb_mat:
         """The mass matrix at the start."""
         links = range(self.n)
-
-        return arb_mat([[self._leading(i, j) for j in links] for i in links])
+        rows = []
+        for i in links:
+            row = [self._leading(i, j) for j in links]
+            rows.append(row)
+        return arb_mat(rows)
 
     def _geometry(self, k: int) -> None:
         """Append coefficient k of the turned first moments."""
@@ -200,46 +220,62 @@ class Motion:
         x, y = self.turning[0].turned(body.stance_first, k)
         _append(self.stance, body.R * x, body.R * y)
         self.mass_00.append(2 * body.R * y)
-
         if k == 0:
             self.mass_00[0] += body.stance_second
-        for j, (first, _) in enumerate(self.links):
-            x, y = self.relative[j].turned(first, k)
-            hinge_x = body.l * x
-            hinge_y = body.l * y
-            _append(self.hinge[j], hinge_x, hinge_y)
-            x, y = self.turning[j + 1].turned(first, k)
-            _append(self.whole[j], hinge_x + body.R * x, hinge_y + body.R * y)
 
+        for j, (first, _) in enumerate(self.links):
+            self._turn_link(j, first, k)
         if self.n == 3:
             x, y = self.bent.turned(body.coupling, k)
             _append(self.joint, x, y)
 
+    def _turn_link(self, j: int, first: Vector, k: int) -> None:
+        """Append coefficient k of the first moment of swing link j, turned."""
+        body = self.body
+        x, y = self.relative[j].turned(first, k)
+        hinge_x = body.l * x
+        hinge_y = body.l * y
+        _append(self.hinge[j], hinge_x, hinge_y)
+
+        x, y = self.turning[j + 1].turned(first, k)
+        whole_x = hinge_x + body.R * x
+        whole_y = hinge_y + body.R * y
+        _append(self.whole[j], whole_x, whole_y)
+
     def _force(self, k: int) -> list[arb]:
         """Coefficient k of f, the forces at vanishing acceleration."""
-        squares = self.squares
         links = zip(self.turning, self.weights, strict=True)
         weight = [turning.turned(moment, k) for turning, moment in links]
         self.weight.append(weight)
-        stance = -weight[0][0] - (self.rolling if k == 0 else 0)
+        stance_square, *swing_squares = self.squares
+        stance_weight, *swing_weights = (across for across, _ in weight)
 
+        force = [-stance_weight]
+        if k == 0:
+            force[0] -= self.rolling
         if self._rolls:
-            stance -= product(self.stance[0], squares[0], k)
-        force = [stance]
-        for j in range(self.n - 1):
+            force[0] -= product(self.stance[0], stance_square, k)
+
+        for j, square in enumerate(swing_squares):
+            whole_x, _ = self.whole[j]
+            hinge_x, _ = self.hinge[j]
             if self.body.heavy:
-                force[0] -= product(self.whole[j][0], squares[j + 1], k)
-            force.append(
-                product(self.hinge[j][0], squares[0], k) - weight[j + 1][0],
-            )
+                force[0] -= product(whole_x, square, k)
+            turning = product(hinge_x, stance_square, k)
+            force.append(turning - swing_weights[j])
 
         if self.n == 3:
-            force[1] += product(self.joint[1], squares[2], k)
-            force[2] -= product(self.joint[1], squares[1], k)
-
+            self._add_coupling(force, k)
         if self.body.drive is not None:
             self._add_hip_torque(self.body.drive, force, k)
         return force
+
+    def _add_coupling(self, force: list[arb], k: int) -> None:
+        """Add coefficient k of what thigh and shank do to each other as they turn."""
+        _, y = self.joint
+        _, thigh_square, shank_square = self.squares
+        force[1] += product(y, shank_square, k)
+        force[2] -= product(y, thigh_square, k)
 
     def _add_hip_torque(self, drive: Drive, force: list[arb], k: int) -> None:
         """Add coefficient k of the torque between the thighs."""
@@ -260,30 +296,37 @@ class Motion:
     def mass(self, i: int, j: int) -> Series | None:
         """Series of an entry of the mass matrix; None where it is constant."""
         if i == j:
-            return self.mass_00 if i == 0 and self._rolls else None
+            is_stance = i == 0
+            return self.mass_00 if is_stance and self._rolls else None
         if i and j:
             return self.joint[0]
         if i == 0 and not self.body.heavy:
             return None
-        return self.whole[max(i, j) - 1][1]
+
+        link = max(i, j) - 1
+        _, y = self.whole[link]
+        return y
 
     def masses(self, k: int) -> arb_mat:
         """Coefficient k of the mass matrix, but for entries that are constant."""
-        rows = []
-
+        entries = []
         for i in range(self.n):
-            series = [self.mass(i, j) for j in range(self.n)]
-            rows.append([_ZERO if M is None else M[k] for M in series])
-        return arb_mat(rows)
+            for j in range(self.n):
+                series = self.mass(i, j)
+                entries.append(_ZERO if series is None else series[k])
+        return arb_mat(self.n, self.n, entries)
 
     def _leading(self, i: int, j: int) -> arb:
-        M = self.mass(i, j)
-
-        if M is not None:
-            return M[0]
+        series = self.mass(i, j)
+        if series is not None:
+            return series[0]
         if i != j:
             return _ZERO
-        return self.mass_00[0] if i == 0 else self.links[i - 1][1]
+        if i == 0:
+            return self.mass_00[0]
+
+        _, inertia = self.links[i - 1]
+        return inertia
 
     def partials(self, k: int, slope: bool) -> list[list[arb]]:
         """Coefficient k of the derivatives of r by (q, w[, slope]); rows are the
@@ -292,14 +335,7 @@ class Motion:
         n = self.n
         by_q = [[_ZERO] * n for _ in range(n)]
         by_w = [[_ZERO] * n for _ in range(n)]
-        by_q[0][0] = -self.weight[k][0][1]
-
-        if self._rolls:
-            x, y = self.stance
-            squared = product(y, self.squares[0], k)
-            by_q[0][0] += 2 * product(x, self.a[0], k) - squared
-            by_w[0][0] = 2 * product(x, self.w[0], k)
-
+        self._of_stance(k, by_q[0], by_w[0])
         for j in range(1, n):
             if self.body.heavy:
                 self._by_swing(j, k, by_q[0], by_w[0])
@@ -311,16 +347,27 @@ class Motion:
             self._of_hip(self.body.drive, by_q, by_w)
 
         rows = [[*q, *w] for q, w in zip(by_q, by_w, strict=True)]
-
         if slope:
             self._append_by_slope(k, rows)
         return rows
 
+    def _of_stance(self, k: int, by_q: Series, by_w: Series) -> None:
+        """Set the derivatives of the stance leg's equation by its own angle and rate."""
+        _, lifted = self.weight[k][0]
+        by_q[0] = -lifted
+        if self._rolls:
+            x, y = self.stance
+            squared = product(y, self.squares[0], k)
+            leaning = product(x, self.a[0], k)
+            by_q[0] += 2 * leaning - squared
+            by_w[0] = 2 * product(x, self.w[0], k)
+
     def _append_by_slope(self, k: int, rows: list[list[arb]]) -> None:
         """Append the derivatives by the slope to those by (q, w)."""
-        for i, row in enumerate(rows):
-            sinking = self.sinking if i == 0 and k == 0 else 0
-            row.append(self.weight[k][i][1] + sinking)
+        for row, (_, lifted) in zip(rows, self.weight[k], strict=True):
+            row.append(lifted)
+        if k == 0:
+            rows[0][-1] += self.sinking
 
     def _of_hip(self, drive: Drive, by_q: list[Series], by_w: list[Series]) -> None:
         """Add the derivatives of the torque between the thighs."""
@@ -333,7 +380,8 @@ class Motion:
 
     def _by_swing(self, j: int, k: int, by_q: Series, by_w: Series) -> None:
         """Add to the derivatives of the stance leg's equation those by swing link j."""
-        a, square = self.a[j], self.squares[j]
+        a = self.a[j]
+        square = self.squares[j]
         hinge_x, hinge_y = self.hinge[j - 1]
         whole_x, whole_y = self.whole[j - 1]
         turned = product(hinge_y, square, k)
@@ -344,13 +392,14 @@ class Motion:
 
     def _of_swing(self, j: int, k: int, by_q: Series, by_w: Series) -> None:
         """Set the derivatives of the equation of swing link j."""
-        a, w = self.a[0], self.w[0]
+        a = self.a[0]
         hinge_x, hinge_y = self.hinge[j - 1]
         whole_x, _ = self.whole[j - 1]
-        turn = product(hinge_y, self.squares[0], k)
-        by_q[0] = -product(hinge_x, a, k) - turn
-        by_q[j] = product(whole_x, a, k) - self.weight[k][j][1] + turn
-        by_w[0] = -2 * product(hinge_x, w, k)
+        _, lifted = self.weight[k][j]
+        turned = product(hinge_y, self.squares[0], k)
+        by_q[0] = -product(hinge_x, a, k) - turned
+        by_q[j] = product(whole_x, a, k) - lifted + turned
+        by_w[0] = -2 * product(hinge_x, self.w[0], k)
 
     def _of_knee(self, k: int, by_q: list[Series], by_w: list[Series]) -> None:
         """Add the derivatives of the coupling of thigh and shank."""
@@ -409,25 +458,31 @@ class Variation:
         k = len(self.terms) - 1
         size = 2 * motion.n
         partials = motion.partials(k, self.by_slope is not None)
-        self.rows.append(arb_mat([row[:size] for row in partials]))
+        by_state = [row[:size] for row in partials]
+        self.rows.append(arb_mat(by_state))
         self.masses.append(motion.masses(k))
 
-        total = self.rows[0] * self.terms[k]
-
+        residual = self.rows[0] * self.terms[k]
         for j in range(1, k + 1):
-            total += self.rows[j] * self.terms[k - j]
+            residual += self.rows[j] * self.terms[k - j]
         if self.by_slope is not None:
-            by_slope = arb_mat([[row[size]] for row in partials])
-            total += by_slope * self.by_slope
-
-        for j in range(1, k + 1):  # the leading one is inverted
-            total += self.masses[j] * self.accelerations[k - j]
-        acceleration = motion.inverse * total * arb(-1)
+            by_slope = [[row[size]] for row in partials]
+            residual += arb_mat(by_slope) * self.by_slope
+        acceleration = self._solved(residual, k)
         self.accelerations.append(acceleration)
 
         rates = self.terms[k].entries()[motion.n * self.columns :]
         change = arb_mat(size, self.columns, [*rates, *acceleration.entries()])
         self.terms.append(change * (arb(1) / (k + 1)))
+
+    def _solved(self, residual: arb_mat, k: int) -> arb_mat:
+        """Coefficient k of the accelerations' derivatives, by that of what they balance.
+
+        Those before it are known, and only the leading mass matrix is inverted.
+        """
+        for j in range(1, k + 1):
+            residual += self.masses[j] * self.accelerations[k - j]
+        return self.motion.inverse * residual * arb(-1)
 
     def stacked(self, states: arb_mat) -> arb_mat:
         """Derivatives of the states, and below them those of the slope if it varies."""
@@ -444,19 +499,14 @@ class Variation:
         partials = arb_mat(self.motion.partials(0, has_slope))
         accelerations = self.motion.inverse * partials
         size = 2 * n + has_slope
-        zero = [arb(0)] * size
-        rows = []
-
+        matrix = arb_mat(size, size)
         for i in range(n):
-            rates = list(zero)
-            rates[n + i] = arb(1)
-            rows.append(rates)
+            matrix[i, n + i] = 1
+            for j in range(size):
+                largest = accelerations[i, j].abs_upper()
+                matrix[n + i, j] = arb(largest)
 
-        rows += accelerations.tolist()
-        rows += [zero] * has_slope
-        sizes = [[arb(x.abs_upper()) for x in row] for row in rows]
-
-        return (arb_mat(sizes) * h).exp()
+        return (matrix * h).exp()
 
 
 def _append(pair: Pair, x: arb, y: arb) -> None:
@@ -479,8 +529,9 @@ def velocity(body: Body, slope: arb, state: Sequence[arb]) -> list[arb]:
     list of arb
     """
     motion = Motion(body, slope, state, 1)
-
-    return [*state[motion.n :], *(a[0] for a in motion.a)]
+    rates = state[motion.n :]
+    accelerations = [a[0] for a in motion.a]
+    return [*rates, *accelerations]
 
 
 Coefficient = TypeVar("Coefficient", arb, arb_mat)
@@ -500,7 +551,6 @@ def evaluate(series: Sequence[Coefficient], t: arb) -> Coefficient:
     arb or arb_mat
     """
     total = series[-1]
-
     for c in series[-2::-1]:
         total = total * t + c
     return total

@@ -14,32 +14,50 @@ from gaitsweep.tasks.mechanics.lumped import Structure
 
 def start_of_step(structure: Structure, p: Symbols, y: list[Sym]) -> list[Sym]:
     """State just after heelstrike at section coordinates y, as symbols."""
+    stance = y[0]
+    stance_rate = y[1]
     if structure.kneed:
-        return [y[0], -y[0], -y[0], *release(structure, p, y[0], y[1], y[2])]
+        rates = release(structure, p, stance, stance_rate, y[2])
+        return [stance, -stance, -stance, *rates]
+
     if structure.point_foot:
         # The impulse has no moment about the hip of a leg whose mass is at the foot
         # that leaves the ground.
-        return [y[0], -y[0], y[1], y[1] * hy.cos(2.0 * p.scale * y[0])]
-    return [y[0], -y[0], y[1], y[2]]
+        between_legs = 2.0 * p.scale * stance
+        swing_rate = stance_rate * hy.cos(between_legs)
+        return [stance, -stance, stance_rate, swing_rate]
+
+    return [stance, -stance, stance_rate, y[2]]
 
 
 def lock_knee(p: Symbols, x: list[Sym]) -> list[Sym]:
     """State of two links after kneestrike from that of three before it, as symbols."""
-    return [x[0], x[1], *kneestrike(p, x[:3], x[3:])]
+    angles = x[:3]
+    rates_before = x[3:]
+    rates = kneestrike(p, angles, rates_before)
+    return [*angles[:2], *rates]
 
 
 def end_of_step(structure: Structure, p: Symbols, x: list[Sym]) -> list[Sym]:
     """Section coordinates of two links' state x just before heelstrike, as symbols."""
+    _, swing, stance_rate, swing_rate = x
     if structure.kneed:
-        return [x[1], x[2], x[3]]
-    return [x[1], *heelstrike(p, x[1], x[2], x[3], False)[: structure.dimension - 1]]
+        return [swing, stance_rate, swing_rate]
+
+    rates = heelstrike(p, swing, stance_rate, swing_rate, False)
+    coordinates = [swing, *rates]
+    return coordinates[: structure.dimension]
 
 
 def field(p: Symbols, x: list[Sym], free_knee: bool) -> list[Sym]:
     """Rates at which a state x changes, as symbols."""
-    n = len(x) // 2
-    M, f = rows(p, x[:n], x[n:], free_knee)
-    return [*x[n:], *Solver(M)(f)]
+    links = len(x) // 2
+    q = x[:links]
+    rate = x[links:]
+    M, f = rows(p, q, rate, free_knee)
+    solve = Solver(M)
+    accelerations = solve(f)
+    return [*rate, *accelerations]
 
 
 def vector(name: str, n: int) -> list[Sym]:
@@ -64,37 +82,50 @@ def flat(matrix: list[list[Sym]]) -> list[Sym]:
 
 def dot(a: Iterable[Sym], b: Iterable[Sym], start: Sym = ZERO) -> Sym:
     """Sum of the products of two vectors' entries, added to a start."""
-    return sum((x * y for x, y in zip(a, b, strict=True)), start)
+    value = start
+    for x, y in zip(a, b, strict=True):
+        value = value + x * y
+    return value
 
 
 def inverse(J: list[list[Sym]]) -> list[list[Sym]]:
     """Inverse of a square matrix of symbols by its adjugate, whose minors are written
     once each.
     """
-    n = len(J)
 
     @functools.cache
     def minor(rows: tuple[int, ...], columns: tuple[int, ...]) -> Sym:
+        """Determinant of some rows and columns, expanded along the first row."""
         if not rows:
             return hy.expression(1.0)
+
+        first, *below = rows
+        sign = 1.0
         value = ZERO
-        for k, column in enumerate(columns):
-            others = (*columns[:k], *columns[k + 1 :])
-            value = value + (-1.0) ** k * J[rows[0]][column] * minor(rows[1:], others)
+        for column in columns:
+            smaller = minor(tuple(below), _without(columns, column))
+            value = value + sign * J[first][column] * smaller
+            sign = -sign
+
         return value
 
-    every = tuple(range(n))
-    without = [(*every[:k], *every[k + 1 :]) for k in every]
+    every = tuple(range(len(J)))
     determinant = minor(every, every)
     rows = []
-    for i in range(n):
+    for i in every:
         row = []
-        for j in range(n):
-            cofactor = (-1.0) ** (i + j) * minor(without[j], without[i])
-            row.append(cofactor / determinant)
+        for j in every:
+            sign = (-1.0) ** (i + j)
+            transposed = minor(_without(every, j), _without(every, i))
+            row.append(sign * transposed / determinant)
         rows.append(row)
 
     return rows
+
+
+def _without(numbers: tuple[int, ...], one: int) -> tuple[int, ...]:
+    """All numbers but one."""
+    return tuple(number for number in numbers if number != one)
 
 
 def derivatives_along(

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from gaitsweep.tasks.mechanics.arrays import Marks, Motion, PerLane, Times
-from gaitsweep.tasks.mechanics.sums import total
 
 #: Shortest time to kneestrike [sqrt(leg/g)]: in less the knee flexes by no more than
 #: rounding. At time 0, where the knee is straight, its guard has a root that is no
@@ -50,13 +49,17 @@ class StepCheck:
         """What the checks of single steps, those of several gaits' first steps before
         the second ones, say of gaits.
         """
+        step = self.step.reshape(steps, -1)
         passes = self.leg_passes.reshape(steps, -1)
+        doubt = self.doubt.reshape(steps, -1)
+        hyperextends = self.hyperextends.reshape(steps, -1)
+        # Of legs that pass once at every step but one, the number at that.
+        always_once = _all(passes == 1)
         return StepCheck(
-            ~_any(~self.step.reshape(steps, -1)),
-            # Of legs that pass once at every step but one, the number at that.
-            np.where((passes == 1).all(axis=0), 1, passes.max(axis=0)),
-            _any(self.doubt.reshape(steps, -1)),
-            _any(self.hyperextends.reshape(steps, -1)),
+            step=_all(step),
+            leg_passes=np.where(always_once, 1, passes.max(axis=0)),
+            doubt=_any(doubt),
+            hyperextends=_any(hyperextends),
         )
 
     @property
@@ -65,8 +68,20 @@ class StepCheck:
         return self.step & (self.leg_passes == 1)
 
 
-#: Samples of a guard or an angle and its rates, both (samples + 1, n).
-_Samples = tuple[np.ndarray, np.ndarray]
+class _Samples(NamedTuple):
+    """Samples of a guard or an angle and its rates, both (samples + 1, n)."""
+
+    value: np.ndarray
+    rate: np.ndarray
+
+    def per_interval(self, interval: PerLane) -> _Samples:
+        """With rates per interval, which take times (n,)."""
+        return _Samples(self.value, interval * self.rate)
+
+
+def _all(marks: np.ndarray) -> Marks:
+    """Whether something holds of every interval or step, the first axis."""
+    return np.asarray(marks.all(axis=0))
 
 
 def _any(marks: np.ndarray) -> Marks:
@@ -79,31 +94,31 @@ def _ends(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values[:-1], values[1:]
 
 
-def _stance(phase: np.ndarray) -> _Samples:
-    """The stance leg's angle."""
-    return phase[:, 0], phase[:, phase.shape[1] // 2]
+def _link(phase: np.ndarray, number: int) -> _Samples:
+    """A link's angle: of the stance leg (0), the swing thigh or the swing shank."""
+    links = phase.shape[1] // 2
+    return _Samples(phase[:, number], phase[:, links + number])
 
 
 def _height(phase: np.ndarray) -> _Samples:
     """The guard of heelstrike: the sum of the legs' angles, the shank as the thigh."""
-    half = phase.shape[1] // 2
-    return phase[:, 0] + phase[:, 1], phase[:, half] + phase[:, half + 1]
+    stance = _link(phase, 0)
+    swing = _link(phase, 1)
+    return _Samples(stance.value + swing.value, stance.rate + swing.rate)
 
 
 def _apart(phase: np.ndarray) -> _Samples:
     """The angle between the legs."""
-    half = phase.shape[1] // 2
-    return phase[:, 0] - phase[:, 1], phase[:, half] - phase[:, half + 1]
+    return _difference(_link(phase, 0), _link(phase, 1))
 
 
 def _flexion(three: np.ndarray) -> _Samples:
     """The guard of kneestrike."""
-    return three[:, 1] - three[:, 2], three[:, 4] - three[:, 5]
+    return _difference(_link(three, 1), _link(three, 2))
 
 
-def _by_interval(samples: _Samples, interval: PerLane) -> _Samples:
-    """Samples with their rates per interval."""
-    return samples[0], interval * samples[1]
+def _difference(one: _Samples, other: _Samples) -> _Samples:
+    return _Samples(one.value - other.value, one.rate - other.rate)
 
 
 def _chord_error_bound(g: np.ndarray) -> np.ndarray:
@@ -113,7 +128,8 @@ def _chord_error_bound(g: np.ndarray) -> np.ndarray:
     """
     second = np.abs(np.diff(g, 2, axis=0))
     padded = np.vstack([second[:1], second, second[-1:]])
-    return 2.0 / 8.0 * np.maximum(padded[:-1], padded[1:])
+    largest = np.maximum(padded[:-1], padded[1:])
+    return 2.0 / 8.0 * largest
 
 
 def _cubic_error_bound(rate: np.ndarray) -> np.ndarray:
@@ -126,8 +142,11 @@ def _cubic_error_bound(rate: np.ndarray) -> np.ndarray:
     if len(rate) < 4:
         return np.full(rate[1:].shape, np.inf)
     third = np.abs(np.diff(rate, 3, axis=0))
-    padded = np.vstack([third[:1], third[:1], third, third[-1:], third[-1:]])
-    return 2.0 / 384.0 * np.maximum.reduce([padded[:-2], padded[1:-1], padded[2:]])
+    first = third[:1]
+    last = third[-1:]
+    padded = np.vstack([first, first, third, last, last])
+    largest = np.maximum.reduce([padded[:-2], padded[1:-1], padded[2:]])
+    return 2.0 / 384.0 * largest
 
 
 def _unclear(g: np.ndarray, rate: np.ndarray, margin: float | np.ndarray) -> np.ndarray:
@@ -140,19 +159,23 @@ def _unclear(g: np.ndarray, rate: np.ndarray, margin: float | np.ndarray) -> np.
     tangential.
     """
     a, b = _ends(g)
-    low = np.minimum(np.abs(a), np.abs(b))
-    is_near = low < _chord_error_bound(g) + margin
+    nearest = np.minimum(np.abs(a), np.abs(b))
+    is_near = nearest < _chord_error_bound(g) + margin
 
-    change, error = np.diff(rate, axis=0), _chord_error_bound(rate)
+    change = np.diff(rate, axis=0)
+    error = _chord_error_bound(rate)
     bends = np.abs(change) > 4 * error + 2 * margin
+
     da, db = _ends(rate)
     is_one_sign = np.signbit(da) == np.signbit(db)
     least_rate = np.minimum(np.abs(da), np.abs(db))
-    is_steady = is_one_sign & (least_rate > np.where(bends, 0.0, error) + margin)
+    unresolved = np.where(bends, 0.0, error)
+    is_steady = is_one_sign & (least_rate > unresolved + margin)
 
     is_above = np.maximum(a, b) >= margin
     is_below = np.minimum(a, b) <= -margin
-    arches = bends & np.where(change < 0, is_above, is_below)
+    shows = np.where(change < 0, is_above, is_below)
+    arches = bends & shows
     return is_near & ~is_steady & ~arches
 
 
@@ -189,24 +212,10 @@ def strike_distance(motion: Motion, times: Times) -> PerLane:
     before. Of the foot that is the highest since the stance leg was upright.
     """
     intervals = _intervals(motion, times)
-    guards = []
-    for phase, interval in zip(motion, intervals, strict=True):
-        guard = _by_interval(_height(phase), interval)
-        behind = phase[:, 0] < 0
-        passes = ~behind[:-1] & behind[1:]
-        upright = _zero(_cubics(*_by_interval(_stance(phase), interval), passes))
-        begin = np.full(passes.shape, -np.inf)
-        begin[passes] = _value(_cubics(*guard, passes), upright)
-        guards.append(_Guard(*guard, behind, begin))
-
+    guards = list(map(_foot, motion, intervals))
     least = _least_distance(guards)
-
     if len(motion) == 2:
-        g, rate = _by_interval(_flexion(motion[0]), intervals[0])
-        # The knee starts straight, and may first move against its stop: only maxima
-        # show that it has flexed.
-        never = np.zeros(g.shape, bool)
-        knee = _Guard(g, rate, never, np.full(g[1:].shape, -np.inf), always=True)
+        knee = _knee(motion[0], intervals[0])
         least = np.fmin(least, _least_distance([knee]))
 
     return least
@@ -236,17 +245,44 @@ class _Guard(NamedTuple):
     always: bool = False
 
 
+def _foot(phase: np.ndarray, interval: PerLane) -> _Guard:
+    """The guard of heelstrike in a phase, which counts where the stance leg is behind."""
+    height = _height(phase).per_interval(interval)
+    stance = _link(phase, 0).per_interval(interval)
+    behind = stance.value < 0
+    before, after = _ends(behind)
+    passes = ~before & after
+
+    upright = _zero(_cubics(stance, passes))
+    begin = np.full(passes.shape, -np.inf)
+    begin[passes] = _value(_cubics(height, passes), upright)
+    return _Guard(height.value, height.rate, behind, begin)
+
+
+def _knee(three: np.ndarray, interval: PerLane) -> _Guard:
+    """The guard of kneestrike."""
+    flexion = _flexion(three).per_interval(interval)
+    # The knee starts straight, and may first move against its stop: only maxima show
+    # that it has flexed.
+    never = np.zeros(flexion.value.shape, bool)
+    begin = np.full(never[1:].shape, -np.inf)
+    return _Guard(flexion.value, flexion.rate, never, begin, always=True)
+
+
 def _least_distance(phases: list[_Guard]) -> PerLane:
     """Least distance of a guard from an earlier strike, over phases."""
     n = phases[0].g.shape[1]
-    least, highest = np.full(n, np.inf), np.full(n, -np.inf)
+    least = np.full(n, np.inf)
+    highest = np.full(n, -np.inf)
     rate_before = None
     for guard in phases:
         g, rate, counts, *_ = guard
         if rate_before is not None:
             # Rates jump at kneestrike: a guard may have a minimum there.
-            turns = (rate_before < 0) & (rate[0] >= 0) & counts[0]
-            at_turn = np.where(turns, np.maximum(g[0], -highest), np.inf)
+            turns = (rate_before < 0) & (rate[0] >= 0)
+            turns &= counts[0]
+            distance = np.maximum(g[0], -highest)
+            at_turn = np.where(turns, distance, np.inf)
             least = np.fmin(least, at_turn)
 
         distance, highest = _distances(guard, highest)
@@ -262,17 +298,22 @@ def _distances(guard: _Guard, highest: PerLane) -> tuple[np.ndarray, PerLane]:
     """
     g, rate, counts, begin, always = guard
     low, high = _extrema(g, rate)
+    at_start, at_end = _ends(counts)
+    low_counts = at_end | always
     # A maximum in the interval in which values begin to count may come before they do.
-    high_counts = counts[1:] & (begin == -np.inf) | always
+    all_counts = at_end & (begin == -np.inf)
+    high_counts = all_counts | always
+
     # What counts of each interval before its minimum, and after it.
-    before = np.where(counts[:-1], g[:-1], -np.inf)
-    after = np.fmax(np.where(high_counts, high, -np.inf), begin)
+    before = np.where(at_start, g[:-1], -np.inf)
+    maximum = np.where(high_counts, high, -np.inf)
+    after = np.fmax(maximum, begin)
     before[0] = np.fmax(before[0], highest)
     before[1:] = np.fmax(before[1:], after[:-1])
     so_far = np.fmax.accumulate(before, axis=0)
 
-    low_counts = counts[1:] | always
-    distance = np.where(low_counts, np.maximum(low, -so_far), np.inf)
+    at_minimum = np.maximum(low, -so_far)
+    distance = np.where(low_counts, at_minimum, np.inf)
     return distance, np.fmax(so_far[-1], after[-1])
 
 
@@ -282,38 +323,45 @@ def _extrema(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Infinite, and minus infinite, where it has none.
     """
-    cubic = _cubics(g, rate)
+    cubic = _cubics(_Samples(g, rate))
     da, db = _ends(rate)
     _, _, second, third = cubic
-    root = np.sqrt(np.maximum(second**2 - 3 * third * da, 0.0))
+    discriminant = second**2 - 3 * third * da
+    root = np.sqrt(np.maximum(discriminant, 0.0))
 
-    def extremum(sign: float, turns: np.ndarray) -> np.ndarray:
-        return np.where(
-            turns, _value(cubic, -da / (second + sign * root)), sign * np.inf
-        )
-
-    return extremum(1.0, (da < 0) & (db >= 0)), extremum(-1.0, (da > 0) & (db <= 0))
+    at_minimum = _value(cubic, -da / (second + root))
+    at_maximum = _value(cubic, -da / (second - root))
+    has_minimum = (da < 0) & (db >= 0)
+    has_maximum = (da > 0) & (db <= 0)
+    minimum = np.where(has_minimum, at_minimum, np.inf)
+    maximum = np.where(has_maximum, at_maximum, -np.inf)
+    return minimum, maximum
 
 
 _Cubics = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def _cubics(
-    g: np.ndarray, rate: np.ndarray, some: np.ndarray | EllipsisType = ...
-) -> _Cubics:
+def _cubics(samples: _Samples, some: np.ndarray | EllipsisType = ...) -> _Cubics:
     """Coefficients of the cubics in some intervals through values and rates per
     interval at both ends.
     """
-    a, b, da, db = (values[some] for values in (*_ends(g), *_ends(rate)))
-    second = 3 * (b - a) - 2 * da - db
-    third = da + db - 2 * (b - a)
+    left, right = _ends(samples.value)
+    rate_left, rate_right = _ends(samples.rate)
+    a = left[some]
+    da = rate_left[some]
+    db = rate_right[some]
+    rise = right[some] - a
+    second = 3 * rise - 2 * da - db
+    third = da + db - 2 * rise
     return a, da, second, third
 
 
 def _value(cubic: _Cubics, share: np.ndarray) -> np.ndarray:
     """Values of cubics at shares of their intervals."""
     a, first, second, third = cubic
-    return np.asarray(a + share * (first + share * (second + share * third)))
+    value = second + share * third
+    value = first + share * value
+    return np.asarray(a + share * value)
 
 
 def _zero(cubic: _Cubics) -> np.ndarray:
@@ -321,11 +369,14 @@ def _zero(cubic: _Cubics) -> np.ndarray:
     different signs.
     """
     a, first, second, third = cubic
-    share = np.clip(a / -(first + second + third), 0.0, 1.0)
+    on_chord = a / -(first + second + third)
+    share = np.clip(on_chord, 0.0, 1.0)
     for _ in range(_ROUNDS):
         rate = first + share * (2 * second + 3 * share * third)
-        better = np.clip(share - _value(cubic, share) / rate, 0.0, 1.0)
+        newton = share - _value(cubic, share) / rate
+        better = np.clip(newton, 0.0, 1.0)
         share = np.where(np.isfinite(better), better, share)
+
     return share
 
 
@@ -340,19 +391,21 @@ def _falls_behind(
     Both are given with their rates per interval. Also returned is whether in one of
     them that angle is so near zero as the guard falls that finer samples tell better.
     """
-    angle, before = stance[0], stance[0][:-1] >= 0
-    passes = falls & (before != (angle[1:] >= 0))
-    behind = falls & (angle[1:] < 0)
-    at_zero = _value(_cubics(*stance, passes), _zero(_cubics(*guard, passes)))
-    behind[passes] = at_zero < 0
+    angle_before, angle_after = _ends(stance.value)
+    is_ahead = angle_before >= 0
+    passes = falls & (is_ahead != (angle_after >= 0))
+    strike = _zero(_cubics(guard, passes))
+    angle = _value(_cubics(stance, passes), strike)
+    behind = falls & (angle_after < 0)
+    behind[passes] = angle < 0
 
     # Both cubics err, that of the guard by a time.
-    fall = np.abs(np.diff(guard[0], axis=0))[passes]
-    turn = np.abs(np.diff(angle, axis=0))[passes]
-    late_by = _cubic_error_bound(guard[1])[passes] / fall
-    error = _cubic_error_bound(stance[1])[passes] + late_by * turn
-    late = passes & before
-    late[passes] &= ~(np.abs(at_zero) > error)
+    fall = np.abs(np.diff(guard.value, axis=0))[passes]
+    turn = np.abs(np.diff(stance.value, axis=0))[passes]
+    late_by = _cubic_error_bound(guard.rate)[passes] / fall
+    error = _cubic_error_bound(stance.rate)[passes] + late_by * turn
+    late = passes & is_ahead
+    late[passes] &= ~(np.abs(angle) > error)
     return _any(behind), _any(late)
 
 
@@ -380,14 +433,17 @@ def strikes_fall_in_order(
     Where the foot strikes just after the knee, its height at kneestrike, not the difference of the times, is known to
     rounding: a foot that strikes almost tangentially is late by rounding alone.
     """
-    height = np.diff(times, axis=0, prepend=0) * -closing
+    durations = np.diff(times, axis=0, prepend=0)
+    height = durations * -closing
     falls = (closing < 0) & (height > -touch)
-    return np.asarray(falls.all(axis=0) & (times[0] > 0))
+    is_late = times[0] > 0
+    return _all(falls) & is_late
 
 
 #: Weights of the second derivative of a polynomial, half of it, at a point where it and
 #: its rate vanish, by its values and rates at the next two.
-_VALUES, _RATES = (4.0, 1.75), (-4.0, -0.5)
+_VALUES = (4.0, 1.75)
+_RATES = (-4.0, -0.5)
 
 
 def hyperextends_at_release(three: np.ndarray, interval: PerLane) -> Marks:
@@ -409,14 +465,15 @@ def hyperextends_at_release(three: np.ndarray, interval: PerLane) -> Marks:
     A knee that was locked during heelstrike begins without a rate: its acceleration
     decides, taken from the polynomial through the first samples.
     """
-    flexion, rate = _by_interval(_flexion(three), interval)
+    flexion, rate = _flexion(three).per_interval(interval)
     first = rate[0]
     at_rest = first == 0
     if at_rest.any():
-        acceleration = total(
-            value * flexion[k] + by_rate * rate[k]
-            for k, value, by_rate in zip((1, 2), _VALUES, _RATES, strict=True)
+        one, other = (
+            of_value * flexion[k] + of_rate * rate[k]
+            for k, of_value, of_rate in zip((1, 2), _VALUES, _RATES, strict=True)
         )
+        acceleration = one + other
         first = np.where(at_rest, acceleration, first)
 
     return np.asarray(first < 0)
@@ -463,15 +520,19 @@ def verify(
     for phase in motion:
         apart, rate = _apart(phase)
         before, after = _ends(np.signbit(apart))
-        leg_passes += (before != after).sum(axis=0)
-        doubt |= _any(_unclear(apart, rate, margin))
+        passes = before != after
+        leg_passes += passes.sum(axis=0)
+        unclear = _unclear(apart, rate, margin)
+        doubt |= _any(unclear)
 
     hyperextends = np.zeros(len(step), bool)
     if len(motion) == 2:
-        is_free, unclear = _verify_free(motion[0], intervals[0], height, margin)
-        step &= is_free & (times[0] > _MIN_KNEESTRIKE)
-        doubt |= unclear
-        hyperextends = hyperextends_at_release(motion[0], intervals[0])
+        free, interval = motion[0], intervals[0]
+        strikes_last, in_doubt = _verify_free(free, interval, height, margin)
+        step &= strikes_last
+        step &= times[0] > _MIN_KNEESTRIKE
+        doubt |= in_doubt
+        hyperextends = hyperextends_at_release(free, interval)
 
     doubt &= np.isfinite(closing).all(axis=0)
     return StepCheck(step, leg_passes, doubt, hyperextends)
@@ -486,13 +547,17 @@ def _rounding_at_strikes(
     At the strike itself a guard is as far from zero as rounding, which a long step
     amplifies, has moved it.
     """
-    height = np.maximum(_TOUCH, 8 * np.abs(_height(motion[-1])[0][-1]))
+    foot = _height(motion[-1]).value[-1]
+    height = np.maximum(_TOUCH, 8 * np.abs(foot))
     if len(motion) == 1:
         return height, height
-    knee = 8 * np.abs(_flexion(motion[0])[0][-1])
+
+    flexion = _flexion(motion[0]).value[-1]
+    knee = 8 * np.abs(flexion)
     touch = np.maximum(height, knee)
     # Until a knee that is late has struck, the foot falls on.
-    return touch, np.fmax(touch, knee * np.abs(closing[1] / closing[0]))
+    falls_on = knee * np.abs(closing[1] / closing[0])
+    return touch, np.fmax(touch, falls_on)
 
 
 def _verify_locked(
@@ -506,8 +571,10 @@ def _verify_locked(
     falls = (before >= -touch) & (after < -touch)
     struck, late = _foot_strikes(two, interval, falls)
     unclear = _unclear(_to_strike(guard), rate, margin)
-    doubt = _behind(two, unclear, margin) | late | np.isnan(two[0, 0])
-    return ~struck & (two[-1, 0] < 0), doubt
+    is_unknown = np.isnan(two[0, 0])
+    doubt = _behind(two, unclear, margin) | late | is_unknown
+    ends_behind = two[-1, 0] < 0
+    return ~struck & ends_behind, doubt
 
 
 def _verify_free(
@@ -520,13 +587,16 @@ def _verify_free(
     is_down = guard[1:] <= 0
     # Where both strike together the foot's height at kneestrike is rounding.
     is_down[-1] = guard[-1] < -height
-    struck, late = _foot_strikes(three, interval, is_down & (guard[:-1] > 0))
-    doubt = _behind(three, _unclear(guard, rate, margin), margin) | late
+    falls = is_down & (guard[:-1] > 0)
+    struck, late = _foot_strikes(three, interval, falls)
+    unclear = _unclear(guard, rate, margin)
+    doubt = _behind(three, unclear, margin) | late
 
     # The knee starts straight: the guard's first zero is no strike.
     flexion, rate = _flexion(three)
     unclear = _unclear(_to_strike(flexion), rate, margin)
-    doubt |= _any(unclear[1:]) | ((rate[0] > 0) & unclear[0])
+    doubt |= _any(unclear[1:])
+    doubt |= unclear[0] & (rate[0] > 0)
     return ~struck & _flexes_once(flexion, rate), doubt
 
 
@@ -536,16 +606,19 @@ def _foot_strikes(
     """Whether the foot's guard, which falls in some intervals, does so at a strike, and
     whether finer samples tell better.
     """
-    guard = _by_interval(_height(phase), interval)
-    return _falls_behind(falls, guard, _by_interval(_stance(phase), interval))
+    guard = _height(phase).per_interval(interval)
+    stance = _link(phase, 0).per_interval(interval)
+    return _falls_behind(falls, guard, stance)
 
 
 def _behind(phase: np.ndarray, intervals: np.ndarray, margin: float | PerLane) -> Marks:
     """Whether the stance angle may be negative in one of some intervals: a foot strikes
     only then.
     """
-    lowest = np.minimum(*_ends(phase[:, 0])) - margin
-    return _any((lowest < 0) & intervals)
+    before, after = _ends(phase[:, 0])
+    lowest = np.minimum(before, after) - margin
+    may_be = lowest < 0
+    return _any(may_be & intervals)
 
 
 def _flexes_once(flexion: np.ndarray, rate: np.ndarray) -> Marks:
@@ -556,6 +629,9 @@ def _flexes_once(flexion: np.ndarray, rate: np.ndarray) -> Marks:
     time 0, near which Newton's method may end: it has bent where its samples show it.
     """
     inner = flexion[1:-1]
-    bent = np.maximum.accumulate(np.vstack([rate[:1] > 0, inner > 0]), axis=0)
-    once = ~_any(bent[:-1] & (inner < -_STRAIGHT))
-    return once & ((rate[0] != 0) | _any(inner > _STRAIGHT))
+    bends = np.vstack([rate[:1] > 0, inner > 0])
+    bent = np.maximum.accumulate(bends, axis=0)
+    strikes_before = bent[:-1] & (inner < -_STRAIGHT)
+    is_released_moving = rate[0] != 0
+    shows_bent = _any(inner > _STRAIGHT)
+    return ~_any(strikes_before) & (is_released_moving | shows_bent)

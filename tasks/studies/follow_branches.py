@@ -23,6 +23,7 @@ from gaitsweep.tasks.branches.sampling import chosen, within
 from gaitsweep.tasks.branches.special_points import RATES, record, special_points
 from gaitsweep.tasks.branches.tracking import correct
 from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.contract.status import over
 from gaitsweep.tasks.contract.tables import Arrays, nothing, stacked, table
 from gaitsweep.tasks.contract.variables import units_of
@@ -188,7 +189,8 @@ def _special_within(
     found += contact_lost(problem, branch, low, high)
     inside = []
     for point in found:
-        if low <= point["slope"] <= high and point["kind"] != "window":
+        is_inside = low <= point["slope"] <= high
+        if is_inside and not kind_of(point["kind"]).is_edge:
             inside.append(point)
     return inside + _leaves_window(problem, branch, low, high)
 

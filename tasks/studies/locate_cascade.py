@@ -22,6 +22,7 @@ from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.branches.special_points import RATES, passings, state_at
 from gaitsweep.tasks.branches.tracking import check_steps, correct, points_along
 from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.contract.status import over
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.fits import feigenbaum as scaling
@@ -101,6 +102,11 @@ class _Event:
         """Its slope [rad], or what else drives."""
         return float(np.exp(self.q))
 
+    @property
+    def doubles_steps(self) -> bool:
+        """Whether gaits of twice as many steps begin there."""
+        return kind_of(self.kind).doubles_steps
+
 
 @dataclass(frozen=True)
 class _Family:
@@ -112,7 +118,7 @@ class _Family:
     @property
     def flips(self) -> ndarray:
         """Slopes of its flips, shape (k,) [rad]."""
-        return np.array([event.slope for event in self.events if event.kind == "flip"])
+        return np.array([event.slope for event in self.events if event.doubles_steps])
 
 
 def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -151,25 +157,22 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     if not len(slope):
         return {}
 
-    starts, longest = int(options["starts"]), int(options["periods"])
-    accumulations: list[tuple[Any, ...]] = []
+    starts = int(options["starts"])
+    longest = int(options["periods"])
     families: dict[str, _Family] = {}
     missing: list[str] = []
+    rows: list[tuple[Any, ...]] = []
     for period in map(int, options["families"]):
         first = _first_gaits(problem, near, inputs[0], slope, period, starts)
         found = _families(problem, first, slope, period, longest)
         families |= found
-        for name, family in found.items():
-            accumulations.append(_accumulation_row(name, family, unit))
+        why = _no_family(period, slope * unit, problem)
         if not found:
-            why = _no_family(period, slope * unit, problem)
             missing.append(why)
-            accumulations.append((f"{period}", 0, *_UNKNOWN, why))
+        rows += _accumulation_rows(period, found, why, unit)
 
     tables = _event_table(families, problem)
-    tables |= table(
-        "accumulation", accumulations, columns_along(problem, _ACCUMULATION)
-    )
+    tables |= table("accumulation", rows, columns_along(problem, _ACCUMULATION))
     tables |= _lost_table(problem, families, slope, int(options["steps"]))
     if not families:
         tables |= nothing(" ".join(missing))
@@ -227,11 +230,22 @@ def _event_rows(name: str, family: _Family) -> Iterator[tuple[Any, ...]]:
             event.kind,
             event.slope * problem.drive.unit(walker),
             event.error,
-            next(ratio) if event.kind == "flip" else np.nan,
+            next(ratio) if event.doubles_steps else np.nan,
             state["stance_angle"],
             *rates,
             is_step,
         )
+
+
+def _accumulation_rows(
+    period: int, families: Mapping[str, _Family], why: str, unit: float
+) -> list[tuple[Any, ...]]:
+    """Rows of where flips of the families of a first period accumulate; that of none
+    says why.
+    """
+    if not families:
+        return [(f"{period}", 0, *_UNKNOWN, why)]
+    return [_accumulation_row(*named, unit) for named in families.items()]
 
 
 def _accumulation_row(name: str, family: _Family, unit: float) -> tuple[Any, ...]:

@@ -49,38 +49,52 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     rate follows from the others.
     """
     start = _on_section(begin(params), params)
+    located = _to_heelstrike(start, params)
+    guessed = np.array(located.times)[:, None]
     problem = start.problem
     parameters = start.parameters
     y = start.y
     assert y is not None
-    walker, scale = problem.walker, parameters[1]
-    located = _to_heelstrike(start, params)
-    guessed = np.array(located.times)[:, None]
     step = problem.step(y, guessed, parameters, slope=True)
 
+    walker = problem.walker
+    mapped = _in_states(problem, y, step, parameters)
+    image = mapped["state"]
+    jacobian = mapped["jacobian"]
+    values, vectors = _modes(jacobian, walker.point_foot or walker.massless_leg)
+    kneestrike, heelstrike = (step.times[[0, -1], 0] * walker.time_unit).tolist()
+
+    return {
+        **mapped,
+        "eigenvalues": values,
+        "eigenvectors": vectors,
+        "kneestrike_time": kneestrike if walker.knees else None,
+        "heelstrike_time": heelstrike,
+        **_losses(problem, step, image[:1], parameters),
+    }
+
+
+def _in_states(
+    problem: Problem, y: np.ndarray, step: Stride, parameters: Parameters
+) -> dict[str, np.ndarray]:
+    """The image of a state, and its derivatives by the state and the slope, in the
+    walker's units, from the step's at section coordinates y (3, 1).
+    """
+    scale = parameters[1]
+    time_unit = problem.walker.time_unit
     # In the solver's units these are the walker's times its unit of time.
-    units = np.array([1.0, walker.time_unit, walker.time_unit])
+    units = np.array([1.0, time_unit, time_unit])
+
     _, by_section_before = _start(problem, y, parameters)
     after, by_section_after = _start(problem, step.image, parameters)
     by_before = np.linalg.inv(by_section_before)
     by_state = by_section_after @ step.jacobian[:, :, 0] @ by_before
     by_slope = by_section_after @ step.by_drive[:, 0]
 
-    image = after * scale / units
-    jacobian = by_state * units / units[:, None]
-
-    values, vectors = _modes(jacobian, walker.point_foot or walker.massless_leg)
-    times = step.times[:, 0] * walker.time_unit
-
     return {
-        "state": image,
-        "jacobian": jacobian,
+        "state": after * scale / units,
+        "jacobian": by_state * units / units[:, None],
         "by_slope": by_slope * scale / units,
-        "eigenvalues": values,
-        "eigenvectors": vectors,
-        "kneestrike_time": float(times[0]) if walker.knees else None,
-        "heelstrike_time": float(times[-1]),
-        **_losses(problem, step, image[:1], parameters),
     }
 
 

@@ -15,6 +15,7 @@ from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.curves import walks
 from gaitsweep.tasks.branches.equations import Equations, Keys, slope_error, solve
 from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.gaits.polish import settle, unmeasured
 from gaitsweep.tasks.measures.levels import measures_at
@@ -148,8 +149,9 @@ class _Verification:
     def verified(self) -> _Verified | str:
         """The gait, or why there is none."""
         special = _special(self.question, self.found)
-        is_last = bool(special) and CONDITIONS[special].walking != 0
-        is_last |= special == "fold"
+        is_last = kind_of(special).turns_slope
+        if special:
+            is_last |= CONDITIONS[special].walking != 0
         slope_bound = 0.0
         bound = np.nan
         if is_last or (special and self.question.window is not None):

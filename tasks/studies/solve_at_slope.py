@@ -114,28 +114,35 @@ def _solve_steps(
     wanted.
     """
     problem = Problem(walker_of_line(line))
+    walker = problem.walker
     slope = float(request.slope[0])
     branches = atlases.survey(problem, COARSE)
     point = solve_line(line, branches, request)
+    log = [*filter(None, [untuned(line)]), *_surveyed(problem, branches)]
+
+    # Where the branches have no gait, and where all are wanted, the slope is searched.
     found = _converged(point)
     others = list[_Gait]()
-    log = [*filter(None, [untuned(line)]), *_surveyed(problem, branches)]
     if is_all or not found:
         found, others, nearest = _search_slope(problem, request, branches, found)
-        guesses = starts(problem.walker, [slope])[0].shape[1]
+        guesses = starts(walker, [slope])[0].shape[1]
         log.append(f"{guesses} initial guesses at slope {slope:g}")
         if not found:
-            log += _nothing_found(problem.walker, point, slope, nearest)
+            log += _nothing_found(walker, point, slope, nearest)
     else:
         log += _left_out(point)
 
-    gaits = [(_name(place), found[place]) for place in sorted(found)]
+    gaits = _labelled(found)
     absent = _absent(branches, point, slope, [label for label, _ in gaits])
     if is_all:
         gaits += [(f"passes_{gait['passes']}_times", gait) for gait in others]
-    walker = problem.walker
     records = [record(label, slope, gait, walker) for label, gait in gaits]
     return answer(records, walker, log, absent)
+
+
+def _labelled(found: Mapping[int, _Gait]) -> list[tuple[str, _Gait]]:
+    """Gaits by the place of their label, in their order, with these labels."""
+    return [(_name(place), found[place]) for place in sorted(found)]
 
 
 def _solve_driven(
@@ -145,8 +152,7 @@ def _solve_driven(
     slope = float(request.slope[0])
     point = solve_line(line, [], request)
     found = _converged(point)
-    gaits = [(_name(place), found[place]) for place in sorted(found)]
-    records = [record(label, slope, gait, walker) for label, gait in gaits]
+    records = [record(label, slope, gait, walker) for label, gait in _labelled(found)]
     absent = [
         str(point["reasons"][point["reason"][0, place]])
         for place in range(2)

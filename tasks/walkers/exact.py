@@ -39,30 +39,38 @@ def exact_offsets(walker: Walker) -> dict[str, str]:
         return {}
     with localcontext(Context(prec=_COMPUTED)):
         key = {name: Decimal(getattr(walker, name)) for name in NUMBERS}
-        sine_T, cosine_T = _sine_and_cosine(key["eps_T"])
-        length = key["l_s"] - key["R"]
-        sine_S = key["l_t"] * sine_T / length if length else Decimal(0)
-        cosine_S = (1 - sine_S * sine_S).sqrt()
-
-        exact: dict[str, Decimal] = {}
-        if walker.knees:
-            exact["w_s"] = key["c_s"] * sine_S / cosine_S
-        elif not walker.m_t and walker.m_s:
-            exact["w_s"] = (key["c_s"] * sine_S - key["l_t"] * sine_T) / cosine_S
-
-        if walker.m_t:
-            shank = (
-                key["l_t"] * sine_T
-                + exact.get("w_s", key["w_s"]) * cosine_S
-                - key["c_s"] * sine_S
-            )
-            exact["w_t"] = (
-                -(key["m_s"] / key["m_t"] * shank + key["c_t"] * sine_T) / cosine_T
-            )
-
+        exact = _tuned(walker, key)
         return {
             name: _stated(value) for name, value in exact.items() if value != key[name]
         }
+
+
+def _tuned(walker: Walker, key: dict[str, Decimal]) -> dict[str, Decimal]:
+    """The offsets by their keys, of a walker with such numbers."""
+    sine_T, cosine_T = _sine_and_cosine(key["eps_T"])
+    length = key["l_s"] - key["R"]
+    sine_S = Decimal(0)
+    if length:
+        sine_S = key["l_t"] * sine_T / length
+    cosine_S = (1 - sine_S * sine_S).sqrt()
+
+    # How far the knee and the shank's own centre are across the leg's line.
+    knee = key["l_t"] * sine_T
+    centre = key["c_s"] * sine_S
+    exact: dict[str, Decimal] = {}
+    if walker.knees:
+        exact["w_s"] = centre / cosine_S
+    elif not walker.m_t and walker.m_s:
+        exact["w_s"] = (centre - knee) / cosine_S
+
+    if walker.m_t:
+        w_s = exact.get("w_s", key["w_s"])
+        shank = knee + w_s * cosine_S - centre
+        shank_over_thigh = key["m_s"] / key["m_t"]
+        moment = shank_over_thigh * shank + key["c_t"] * sine_T
+        exact["w_t"] = -moment / cosine_T
+
+    return exact
 
 
 def _stated(value: Decimal) -> str:

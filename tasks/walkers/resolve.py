@@ -560,17 +560,7 @@ def resolve_many(
     arrays = {
         key: value for key, value in overrides.items() if isinstance(value, np.ndarray)
     }
-    for own in zip(*arrays.values(), strict=True) if arrays else [()]:
-        try:
-            first = resolve(
-                walker, {**overrides, **dict(zip(arrays, map(float, own), strict=True))}
-            )
-            break
-        except WalkerError as error:
-            impossible = error
-    else:
-        raise impossible
-
+    first = _first_valid(walker, overrides, arrays)
     values: dict[str, Any] = {}
     start, others = split({k: v for k, v in table.items() if k not in _MORE}, overrides)
     if is_one_link(table):
@@ -584,6 +574,27 @@ def resolve_many(
     for key, array in arrays.items():
         values |= _values(key, table, array) if key in _DERIVED else {key: array}
     return WalkerArray(**{**first.table(), **values})
+
+
+def _first_valid(
+    walker: str | Mapping[str, Any],
+    overrides: Mapping[str, Any],
+    arrays: Mapping[str, np.ndarray],
+) -> Walker:
+    """The first of the walkers of arrays that is valid; the error of the last if none
+    is.
+    """
+    if not arrays:
+        return resolve(walker, overrides)
+
+    for values in zip(*arrays.values(), strict=True):
+        numbers = dict(zip(arrays, map(float, values), strict=True))
+        try:
+            return resolve(walker, {**overrides, **numbers})
+        except WalkerError as error:
+            impossible = error
+
+    raise impossible
 
 
 def way(walker: str | Mapping[str, Any]) -> dict[str, Any]:

@@ -2,11 +2,14 @@
 refuse.
 """
 
+import ast
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import gaitsweep.tasks
 from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.curves import follow_both_directions
 from gaitsweep.tasks.branches.equations import (
@@ -17,7 +20,7 @@ from gaitsweep.tasks.branches.equations import (
     solve,
 )
 from gaitsweep.tasks.branches.special_points import special_points
-from gaitsweep.tasks.contract.kinds import FOLLOWED, KINDS
+from gaitsweep.tasks.contract.kinds import FOLLOWED, KINDS, kind_of
 from gaitsweep.tasks.measures.levels import level
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.walkers.resolve import resolve
@@ -224,6 +227,43 @@ def test_every_condition_is_of_a_kind_and_each_followed_kind_has_one():
     assert set(FOLLOWED) <= set(CONDITIONS)
     for name, kind in KINDS.items():
         assert kind.meaning, name
+        assert set(kind.undefined) <= set(CONDITIONS), name
         # Where gaits end that have an equation, one side of it is that of steps.
         if name in CONDITIONS:
             assert (CONDITIONS[name].walking != 0) == bool(kind.ends), name
+
+
+def _names_compared(file):
+    """Lines of a module that compare something with the name of a kind of points."""
+    source = file.read_text(encoding="utf-8")
+    if not any(f'"{name}"' in source for name in KINDS):
+        return
+
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.Compare):
+            continue
+
+        sides = [node.left, *node.comparators]
+        texts = {
+            part.value
+            for side in sides
+            if not isinstance(side, ast.Subscript)
+            for part in ast.walk(side)
+            if isinstance(part, ast.Constant)
+        }
+        if texts & set(KINDS):
+            yield f"{file.name}:{node.lineno}"
+
+
+def test_what_follows_from_the_name_of_a_kind_stands_in_the_table():
+    """Claims of the paper are about points of some kinds; the solver asks the table."""
+    tasks = Path(gaitsweep.tasks.__file__).parent
+    solver = {*tasks.rglob("*.py")} - {*(tasks / "ledger").rglob("*.py")}
+    found = [place for file in solver for place in _names_compared(file)]
+    assert len(solver) > 150 and len(found) <= 5, found
+
+
+def test_a_reason_of_a_branch_that_is_no_kind_has_no_consequences():
+    reason = kind_of("no further point")
+    assert not (reason.turns_slope or reason.is_crossing or reason.ends)
+    assert kind_of("branch_point").turns_slope

@@ -18,6 +18,7 @@ from gaitsweep.tasks.step.verify_step import (
     _extrema,
     _Guard,
     _least_distance,
+    _Samples,
     _unclear,
     _zero,
 )
@@ -268,9 +269,12 @@ def test_a_cubic_between_samples_vanishes_at_its_root():
     root = np.array([0.1, 0.37, 0.8])
     x = np.array([[0.0], [1.0]])
     factor = 1 + 0.2 * x + 0.2 * x**2
-    value, rate = (x - root) * factor, factor + (x - root) * (0.2 + 0.4 * x)
+    value = (x - root) * factor
+    rate = factor + (x - root) * (0.2 + 0.4 * x)
     passes = np.ones((1, 3), bool)
-    np.testing.assert_allclose(_zero(_cubics(value, rate, passes)), root, rtol=1e-12)
+    samples = _Samples(value, rate)
+
+    np.testing.assert_allclose(_zero(_cubics(samples, passes)), root, rtol=1e-12)
 
 
 def test_extrema_between_samples_are_those_of_the_cubic_between_them():
