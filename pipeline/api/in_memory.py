@@ -744,7 +744,7 @@ def _points(plan: Plan, chunk: Chunk) -> Points:
     store, graph = plan.store, plan.graph
     key = graph.chunk_key(chunk)
     if key not in store:
-        atlas = plan.outcome_of_line(int(chunk.numbers[0]))
+        atlas = plan.outcome_of_line(chunk.line)
         assert atlas
         reason = of_atlas(atlas.reason)
         return Points.of_ending(chunk.points, atlas.status, reason, graph.variables)

@@ -14,7 +14,7 @@ from gaitsweep.pipeline.engine.request import Answer, AtlasAnswer, Request
 from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.statuses import of_atlas
 from gaitsweep.pipeline.store.points import Points, joined
-from gaitsweep.pipeline.store.record import Record, decode
+from gaitsweep.pipeline.store.record import ChunkCodec, Record
 
 #: Asks for one request, once more if it fails by one of the words that follow; returns
 #: "ok" or a name of `statuses.ENDINGS`, and the parts of the answer or a sentence.
@@ -130,7 +130,7 @@ def _divided(
             None if places is None else places[some],
             ask,
         )
-        found.append(decode(record))
+        found.append(ChunkCodec.decode(record))
         rows.append((some[:, None] * len(slopes) + at).ravel())
         atlases += atlases_of_part
 

@@ -16,7 +16,7 @@ from gaitsweep.pipeline.grid.grid import PLANE_POINTS
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.statuses import STATUS_NAMES
-from gaitsweep.pipeline.store.record import ChunkCodec, Head
+from gaitsweep.pipeline.store.record import ChunkCodec
 from gaitsweep.pipeline.store.store import Outcome
 
 
@@ -271,8 +271,8 @@ class Work:
 
         store.put(node.key, answer.record)
         self._release(node.key, "ok")
-        rows = Head.parse(answer.record.head).rows(self.plan.columns)
-        counts = count(rows, STATUS_NAMES)
+        head = ChunkCodec.summary(answer.record.head)
+        counts = count(head.rows(self.plan.columns), STATUS_NAMES)
         return _with_times(Finished(node, node.points, counts=counts), answer)
 
 

@@ -66,6 +66,7 @@ def test_chunks_cover_the_grid_once_and_know_their_lines(slopes, axes, lines, is
         box = tuple(chunk.spans.values())
         seen[box] += 1
         assert lines is None or len(chunk.numbers) == lines
+        assert (chunk.line, chunk.lines) == (chunk.numbers[0], len(chunk.numbers))
         assert (
             chunk.points
             == seen[box].size
