@@ -440,8 +440,17 @@ def _one_for_all(g: np.ndarray) -> np.ndarray:
 
 
 class _Keys(NamedTuple):
-    """Keys of a grid's walkers as a dataset holds them: those that vary, with the slope,
-    as coordinates, those that these move as variables, the others as attributes.
+    """Keys of the walkers of a grid, as a dataset holds them.
+
+    Attributes
+    ----------
+    coordinates : dict of DataArray
+        The slope, or what it is replaced by, and keys that vary by themselves.
+    moved : dict of DataArray
+        Keys that vary because others do, such as the masses with `foot_mass_ratio`:
+        variables of the dataset.
+    constants : dict
+        Keys that all walkers share: its attributes.
     """
 
     coordinates: dict[str, xr.DataArray]
@@ -716,7 +725,10 @@ def _plane(lines: list[_Line]) -> tuple[Study, list[_Line]] | None:
     by_number = np.lexsort([*values.values()][::-1])
     in_order = [lines[number] for number in by_number.tolist()]
     study = in_order[-1].study_over(keys)
-    return (study, in_order) if method_of(study) is Method.PLANE else None
+    if method_of(study, in_memory=True) is not Method.PLANE:
+        return None
+
+    return study, in_order
 
 
 def _plan(study: Study) -> Plan:

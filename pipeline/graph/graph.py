@@ -102,7 +102,7 @@ class Graph:
         #: Expected processor time of a task over one line, or over the study; of
         #: `points`, of one [s].
         self.seconds = functools.cache(
-            lambda name: costs.seconds(study, name, self.method)
+            lambda name: costs.seconds(study, name, self.method, self.grid.alike)
         )
         # All lines are cut at the same slopes, and their chunks packed alike.
         self._packing = functools.cache(self._packing_of)

@@ -206,6 +206,17 @@ class Grid:
         names = list(self.sizes)
         return names.index(self.study.along)
 
+    @functools.cached_property
+    def alike(self) -> int:
+        """Lines that differ only in their units, of which one is solved: in a chunk, or
+        in the study if chunks are of one line.
+        """
+        sizes = {axis.name: len(axis) for axis in scaling_axes(self.study)}
+        if self.method.is_of_lines:
+            of_chunk = zip(self.sizes, self.extent, strict=True)
+            sizes = {name: extent for name, extent in of_chunk if name in sizes}
+        return math.prod(sizes.values())
+
     @property
     def chunks(self) -> int:
         """Number of chunks."""

@@ -27,6 +27,7 @@ from processes import damaged
 
 N = 40  # records in a store of the tests
 PACKED = serialize.dump({"x": 1})
+summary, decode = ChunkCodec.summary, ChunkCodec.decode
 
 
 def filled(path, n=N, size=500):
@@ -522,7 +523,7 @@ def test_a_record_gives_back_what_went_in(name):
     lines = int(np.prod(shape.sizes)) // slopes
     own, result = points(lines, slopes)
     packed = ChunkCodec(shape, 4, ["long", "short"]).encode(own)
-    found, contents = ChunkCodec.decode(packed), ChunkCodec.summary(packed.head)
+    found, contents = decode(packed), summary(packed.head)
     for key in ("status", "stance_angle", "branch"):
         expected = (
             result[key] if key == "status" else result[key][:, :2]
@@ -559,7 +560,7 @@ def test_values_that_are_not_packed_are_those_that_are(name):
     slopes = shape.sizes[shape.slope]
     own, _ = points(int(np.prod(shape.sizes)) // slopes, slopes)
     packed, plain = (
-        ChunkCodec.decode(ChunkCodec(shape, 4, ["long"], is_archived).encode(own))
+        decode(ChunkCodec(shape, 4, ["long"], is_archived).encode(own))
         for is_archived in (True, False)
     )
     assert packed.sentences == plain.sentences
@@ -581,9 +582,7 @@ def test_parts_are_joined_with_what_each_of_them_has():
     one, two = points(1, 4)[0], points(1, 3, gaits=3, seed=1)[0]
     lost = Points.of_ending(2, "worker_died", "The worker died of SIGSEGV.", one.values)
     whole_points = joined([one, lost, two])
-    packed = ChunkCodec.decode(
-        ChunkCodec(Shape((9,), (9,), 0), 3, ["long"]).encode(whole_points)
-    )
+    packed = decode(ChunkCodec(Shape((9,), (9,), 0), 3, ["long"]).encode(whole_points))
     assert packed.values["stance_angle"].shape == (
         9,
         3,
@@ -633,7 +632,7 @@ def test_a_gait_that_no_point_has_found_keeps_its_branch():
     own = Points.of_task(
         result, {"want": ("stance_angle", "branch"), "slope": np.empty(4)}
     )
-    kept = ChunkCodec.decode(ChunkCodec(Shape((4,), (4,), 0), 3, ["long"]).encode(own))
+    kept = decode(ChunkCodec(Shape((4,), (4,), 0), 3, ["long"]).encode(own))
     assert kept.values["branch"].shape == (4, 3) and kept.values["branch"][2, 2] == 7
 
 
