@@ -137,6 +137,19 @@ class Graph:
         """Tasks over the whole study."""
         return [name for name, layer in self.layers.items() if not layer.per_line]
 
+    @functools.cached_property
+    def seconds_after(self) -> dict[str, float]:
+        """Expected time of the longest chain of tasks that depend on a task of each
+        layer [s].
+        """
+        after = dict.fromkeys(self.layers, 0.0)
+        for name, layer in reversed(self.layers.items()):
+            chain = self.seconds(name) + after[name]
+            for need in layer.needs:
+                after[need] = max(after[need], chain)
+
+        return after
+
     def _line_keys(self, number: int) -> dict[str, str]:
         line = self.study.batch_line(number)
         keys: dict[str, str] = {}
