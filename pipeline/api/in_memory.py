@@ -83,8 +83,10 @@ class _Line:
         """What it is a line at: values of keys, and of the slope unless that varies
         along it.
         """
-        slope = {"slope": self.line["slope"]} if "slope" in self.line else {}
-        return {**self.line["set"], **slope}
+        keys = dict(self.line["set"])
+        if "slope" in self.line:
+            keys["slope"] = self.line["slope"]
+        return keys
 
     @property
     def study(self) -> Study:
@@ -94,11 +96,9 @@ class _Line:
 
     def study_over(self, keys: Mapping[str, np.ndarray]) -> Study:
         """A study of lines with the same values along them, over values of keys."""
-        axes = (
-            Axis(self.along, self.values),
-            *(Axis(name, values) for name, values in keys.items()),
-        )
-        return replace(self._base, axes=axes, checks=(self.check,))
+        axes = [Axis(self.along, self.values)]
+        axes += [Axis(name, values) for name, values in keys.items()]
+        return replace(self._base, axes=tuple(axes), checks=(self.check,))
 
 
 def gaits(
@@ -146,7 +146,9 @@ def gaits(
     """
     base = _base(walker, wanted, steps, accuracy, limits or {}, at or {})
     arrays, grid = broadcast(arguments)
-    flat = {name: a.values.ravel() for name, a in zip(arrays, grid, strict=True)}
+    flat = {}
+    for name, values in zip(arrays, grid, strict=True):
+        flat[name] = values.values.ravel()
     lines, unsolvable = _checked(base, flat, arrays)
 
     slope = flat[base.along]
@@ -251,15 +253,14 @@ def _along_drives(
 
         values = flat[key]
         can_be = (values[level] > 0) & (values[level] <= bounds[key][1])
-        own: list[_Line] = []
+        taken = [level[:0]]
         for line, at in _lines(base, flat, arrays, key, level[can_be]):
             check = _check_along(key, base, line, values[at])
             if check:
-                own.append(_Line(base, line, at, values, check, key))
+                lines.append(_Line(base, line, at, values, check, key))
+                taken.append(at)
 
-        lines += own
-        taken = [one.at for one in own]
-        level = np.setdiff1d(level, np.concatenate([level[:0], *taken]))
+        level = np.setdiff1d(level, np.concatenate(taken))
 
     return lines
 
@@ -304,14 +305,18 @@ def _refuse_if_none(
 
 def _can_be(base: Study, slope: np.ndarray) -> np.ndarray:
     """Whether slopes, or values of a measure, can be asked for, shape (n,)."""
-    return np.asarray(np.isfinite(slope) if base.at else slopes.is_slope(slope))
+    if base.at:
+        return np.isfinite(slope)
+    return np.asarray(slopes.is_slope(slope))
 
 
 def _check(base: Study, line: dict[str, Any], slope: np.ndarray) -> dict[str, Any]:
     """What `tasks` reports of the walker of a line, with the keys that are varied."""
     if "slope" in line:
         slopes.check(line["slope"], may_be_level=True)
-    name = "check_target" if base.at else "check_walker"
+    name = "check_walker"
+    if base.at:
+        name = "check_target"
     asked = {**line, **base.at, "values": slope}
     check: dict[str, Any] = dispatch.ask(name, asked)
     if slopes.is_level(line.get("slope", 1.0)) and not check["driven"]:
@@ -330,22 +335,28 @@ def _wrong_slopes(
     beside those that can be asked for, with why.
     """
     is_wrong = ~_can_be(base, slope)
-    for at in [*(line.at for line in lines), *(at for at, _ in unsolvable)]:
+    for line in lines:
+        is_wrong[line.at] = False
+    for at, _ in unsolvable:
         is_wrong[at] = False
+
     wrong = np.flatnonzero(is_wrong)
     values, which = np.unique(slope[wrong], return_inverse=True)
+    refused = []
+    for k, value in enumerate(values.tolist()):
+        refused.append((wrong[which == k], _refused(base, value)))
 
-    return [
-        (wrong[which == k], _refused(base, value))
-        for k, value in enumerate(values.tolist())
-    ]
+    return refused
 
 
 def _refused(base: Study, value: float) -> StudyError:
     """Why a slope, or a value of a measure, cannot be asked for."""
-    if not base.at and slopes.is_level(value):
-        return slopes.undriven(value)
-    bound = "must be finite" if base.at else slopes.BOUND
+    bound = "must be finite"
+    if not base.at:
+        if slopes.is_level(value):
+            return slopes.undriven(value)
+        bound = slopes.BOUND
+
     return StudyError(f"`{base.along}` {bound}; got {value!r}.")
 
 
@@ -358,13 +369,16 @@ def _in_order(
     """All points in the order of the grid: those that are found, and those that cannot
     be solved.
     """
-    parts = [
-        (at, Points.of_ending(len(at), "raised", str(error), variables))
-        for at, error in unsolvable
-    ]
+    parts: list[_Found] = []
+    for at, error in unsolvable:
+        ending = Points.of_ending(len(at), "raised", str(error), variables)
+        parts.append((at, ending))
+
     parts += found
     if not parts:
-        parts = [(np.empty(0, int), Points.of_ending(0, "raised", "", variables))]
+        none = Points.of_ending(0, "raised", "", variables)
+        parts.append((np.empty(0, int), none))
+
     places, points = zip(*parts, strict=True)
     order = np.argsort(np.concatenate(places))
     multipliers = max((check["multipliers"] for check in checks), default=3)
@@ -413,9 +427,10 @@ def _lines(
         number = groups.ngroup().to_numpy()
 
     order = some[np.argsort(number, kind="stable")]
-    for at in np.split(order, np.cumsum(np.bincount(number))[:-1]):
-        own = {name: flat[name][at[0]].item() for name in varying}
-        yield line_of(walker, {**fixed, **own}), at
+    ends = np.cumsum(np.bincount(number))
+    for at in np.split(order, ends[:-1]):
+        first = {name: flat[name][at[0]].item() for name in varying}
+        yield line_of(walker, {**fixed, **first}), at
 
 
 def _is_converted(base: Study) -> bool:
@@ -436,12 +451,24 @@ def _one_for_all(g: np.ndarray) -> np.ndarray:
     """Values of `g`, of which those that can be are the first of them."""
     low, high = dispatch.resolve("gaitsweep.tasks.walkers.walker:BOUNDS")["g"]
     can_be = (g >= low) & (g <= high)
-    return np.where(can_be, g[can_be.argmax()], g) if can_be.any() else g
+    if not can_be.any():
+        return g
+
+    return np.where(can_be, g[can_be.argmax()], g)
 
 
 class _Keys(NamedTuple):
-    """Keys of a grid's walkers as a dataset holds them: those that vary, with the slope,
-    as coordinates, those that these move as variables, the others as attributes.
+    """Keys of the walkers of a grid, as a dataset holds them.
+
+    Attributes
+    ----------
+    coordinates : dict of DataArray
+        The slope, or what it is replaced by, and keys that vary by themselves.
+    moved : dict of DataArray
+        Keys that vary because others do, such as the masses with `foot_mass_ratio`:
+        variables of the dataset.
+    constants : dict
+        Keys that all walkers share: its attributes.
     """
 
     coordinates: dict[str, xr.DataArray]
@@ -469,12 +496,16 @@ def _kept(
     base: Study, checks: list[dict[str, Any]], named: Collection[str]
 ) -> tuple[str, ...]:
     """Variables that the walkers have, or that are `named`."""
-    features = {name for check in checks for name in check["features"]}
-    return tuple(
-        name
-        for name in base.variables
-        if name in named or not VARIABLES[name].is_left_out(features)
-    )
+    features: set[str] = set()
+    for check in checks:
+        features.update(check["features"])
+
+    kept = []
+    for name in base.variables:
+        if name in named or not VARIABLES[name].is_left_out(features):
+            kept.append(name)
+
+    return tuple(kept)
 
 
 def _constants(
@@ -483,12 +514,14 @@ def _constants(
     """Keys that all walkers share, as attributes; for a single line, all that do not
     vary.
     """
-    table = dispatch.resolve("gaitsweep.tasks.walkers.resolve:resolve")(
-        line["walker"], line["set"]
-    ).table()
+    resolve = dispatch.resolve("gaitsweep.tasks.walkers.resolve:resolve")
+    table = resolve(line["walker"], line["set"]).table()
+    constants = {**line["set"], **table, "knees": str(table["knees"]).lower()}
+
     others = {*_owners(checks, varying), *varying}
-    constants = {**line["set"], **table, "knees": "true" if table["knees"] else "false"}
-    others |= {key for check in checks for key in check.get("sought", ())}
+    for check in checks:
+        others.update(check.get("sought", ()))
+
     shared = {key: value for key, value in constants.items() if key not in others}
     return shared | parameters.exact_offsets(others, [table])
 
@@ -500,9 +533,9 @@ def _owners(
     owners: dict[str, dict[str, None]] = {}
     for check in checks:
         for key, movers in check["varied"].items():
-            owners.setdefault(key, {}).update(
-                dict.fromkeys(owner for owner in movers if owner in varying)
-            )
+            varied = [owner for owner in movers if owner in varying]
+            owners.setdefault(key, {}).update(dict.fromkeys(varied))
+
     return {key: list(found) for key, found in owners.items() if found}
 
 
@@ -707,7 +740,8 @@ def _plane(lines: list[_Line]) -> tuple[Study, list[_Line]] | None:
     if any(one.keys.keys() != names for one in lines):
         return None
 
-    values = {key: np.array([one.keys[key] for one in lines]) for key in lines[0].keys}
+    table = pd.DataFrame([one.keys for one in lines])
+    values = {key: table[key].to_numpy() for key in names}
     keys = {key: np.unique(each) for key, each in values.items()}
     if len(lines) != np.prod([len(each) for each in keys.values()]):
         return None
@@ -716,7 +750,10 @@ def _plane(lines: list[_Line]) -> tuple[Study, list[_Line]] | None:
     by_number = np.lexsort([*values.values()][::-1])
     in_order = [lines[number] for number in by_number.tolist()]
     study = in_order[-1].study_over(keys)
-    return (study, in_order) if method_of(study) is Method.PLANE else None
+    if method_of(study, in_memory=True) is not Method.PLANE:
+        return None
+
+    return study, in_order
 
 
 def _plan(study: Study) -> Plan:
@@ -744,7 +781,7 @@ def _points(plan: Plan, chunk: Chunk) -> Points:
     store, graph = plan.store, plan.graph
     key = graph.chunk_key(chunk)
     if key not in store:
-        atlas = plan.outcome_of_line(int(chunk.numbers[0]))
+        atlas = plan.outcome_of_line(chunk.line)
         assert atlas
         reason = of_atlas(atlas.reason)
         return Points.of_ending(chunk.points, atlas.status, reason, graph.variables)

@@ -83,7 +83,7 @@ class PointWriter:
         if key in self.plan.store:
             head = self.plan.store.chunk(key)
         else:
-            head = Head.parse(self._record(chunk, key).head)
+            head = ChunkCodec.summary(self._record(chunk, key).head)
 
         rows, sentences = head.rows(self.columns), head.sentences(self.columns)
         self.written.counts += count(rows, STATUS_NAMES)
@@ -117,8 +117,8 @@ class PointWriter:
             return self.plan.store.get(key)
 
         atlas = None
-        if len(chunk.numbers) == 1:
-            atlas = self.plan.outcome_of_line(int(chunk.numbers[0]))
+        if chunk.lines == 1:
+            atlas = self.plan.outcome_of_line(chunk.line)
         if atlas is None or atlas.status == "ok":
             return self._unfinished(chunk.shape, "not_attempted", NOT_ATTEMPTED)
 
@@ -184,7 +184,8 @@ class PointWriter:
                 start = tuple(span.start for span in chunk.spans.values())
                 record = self._record(chunk, key)
                 with self.plan.store.reading():
-                    head, payload = Head.parse(record.head), memoryview(record.payload)
+                    head = ChunkCodec.summary(record.head)
+                    payload = memoryview(record.payload)
                     pieces = self._pieces(chunk.shape, head, payload)
 
                 for (name, g), piece in pieces.items():

@@ -14,7 +14,7 @@ from gaitsweep.pipeline.engine.request import Answer, AtlasAnswer, Request
 from gaitsweep.pipeline.grid.grid import Shape
 from gaitsweep.pipeline.statuses import of_atlas
 from gaitsweep.pipeline.store.points import Points, joined
-from gaitsweep.pipeline.store.record import Record, decode
+from gaitsweep.pipeline.store.record import ChunkCodec, Record
 
 #: Asks for one request, once more if it fails by one of the words that follow; returns
 #: "ok" or a name of `statuses.ENDINGS`, and the parts of the answer or a sentence.
@@ -113,29 +113,35 @@ def _divided(
     """Record of a part of a chunk that is computed in parts of so many lines and
     slopes.
     """
-    params, slopes, codec = request.params, request.params["slope"], request.codec
-    assert codec
+    assert request.codec
+    slopes = len(request.params["slope"])
     lines = 1 if places is None else len(places)
-    found, rows = list[Points](), list[np.ndarray]()
+    found: list[Points] = []
+    rows: list[np.ndarray] = []
     atlases: list[AtlasAnswer] = []
-    for some, at in itertools.product(
-        _ranges(lines, sizes[0]), _ranges(len(slopes), sizes[1])
-    ):
-        part = {**params, "slope": slopes[at]}
-        if places is not None:
-            part["lines"] = [params["lines"][k] for k in some.tolist()]
-        smaller = replace(codec, shape=Shape.of_rows(len(some), len(at)))
-        record, atlases_of_part = _of_part(
-            replace(request, params=part, codec=smaller),
-            None if places is None else places[some],
-            ask,
-        )
-        found.append(decode(record))
-        rows.append((some[:, None] * len(slopes) + at).ravel())
+    parts = itertools.product(_ranges(lines, sizes[0]), _ranges(slopes, sizes[1]))
+    for some, at in parts:
+        part = _part_of(request, some, at)
+        of_part = None if places is None else places[some]
+        record, atlases_of_part = _of_part(part, of_part, ask)
+        found.append(ChunkCodec.decode(record))
+        rows.append((some[:, None] * slopes + at).ravel())
         atlases += atlases_of_part
 
     order = np.argsort(np.concatenate(rows))
-    return codec.encode(joined(found).take(order)), atlases
+    points = joined(found).take(order)
+    return request.codec.encode(points), atlases
+
+
+def _part_of(request: Request, lines: np.ndarray, slopes: np.ndarray) -> Request:
+    """Request for the points of some lines at some slopes, by their places."""
+    assert request.codec
+    params = {**request.params, "slope": request.params["slope"][slopes]}
+    if "lines" in params:
+        params["lines"] = [params["lines"][k] for k in lines.tolist()]
+
+    shape = Shape.of_rows(len(lines), len(slopes))
+    return replace(request, params=params, codec=replace(request.codec, shape=shape))
 
 
 def _fewer(lines: int, slopes: int) -> tuple[int, int]:
@@ -175,14 +181,12 @@ def _alone(request: Request, place: int, ask: Ask) -> tuple[Record, list[AtlasAn
     (line,) = request.params["lines"]
     assert request.alone and request.codec
     atlas, points = request.alone
-    alone = replace(
-        request, function=atlas, params={"line": line, "coarse": True}, codec=None
-    )
+    of_atlas_alone = {"line": line, "coarse": True}
+    alone = replace(request, function=atlas, params=of_atlas_alone, codec=None)
     outcome, result = ask(alone, *_EXTERNAL)
     if outcome != "ok":
-        ending = Points.of_ending(
-            len(params["slope"]), outcome, of_atlas(result), params["want"]
-        )
+        count, reason = len(params["slope"]), of_atlas(result)
+        ending = Points.of_ending(count, outcome, reason, params["want"])
         return request.codec.encode(ending), [AtlasAnswer(place, outcome, result, b"")]
 
     of_points = replace(

@@ -78,7 +78,7 @@ class Inline:
     def completed(self, timeout: float) -> Iterator[tuple[Ticket, Answer]]:
         """Compute what was submitted."""
         submitted, self._submitted = self._submitted, []
-        alike: dict[str, list[tuple[Ticket, Request]]] = {}
+        alike: dict[bytes, list[tuple[Ticket, Request]]] = {}
         for ticket, request in submitted:
             if request.together:
                 alike.setdefault(_shared(request), []).append((ticket, request))
@@ -103,10 +103,10 @@ def compute(request: Request, *_: str) -> tuple[str, Any]:
         return "raised", f"It raised {described(error)}."
 
 
-def _shared(request: Request) -> str:
+def _shared(request: Request) -> bytes:
     """What atlases must share to be computed by one call: all but their lines."""
     others = {name: own for name, own in request.params.items() if name != "line"}
-    return repr((request.together, sorted(others.items())))
+    return serialize.dump([request.together, sorted(others.items())])
 
 
 def _computed_together(requests: list[Request]) -> list[Answer]:

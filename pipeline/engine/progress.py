@@ -95,7 +95,7 @@ class Progress(Listener):
             "seconds": done.seconds,
         }
         if node.chunk:
-            said["line"] = int(node.chunk.numbers[0])
+            said["line"] = node.chunk.line
             more: dict[str, Any] = {"lines": node.lines, "points": node.points}
             self._tell(
                 "chunk", {**said, "pid": done.pid, **more, "counts": done.counts}

@@ -16,7 +16,7 @@ from gaitsweep.pipeline.grid.grid import PLANE_POINTS
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.statuses import STATUS_NAMES
-from gaitsweep.pipeline.store.record import ChunkCodec, Head
+from gaitsweep.pipeline.store.record import ChunkCodec
 from gaitsweep.pipeline.store.store import Outcome
 
 
@@ -49,7 +49,6 @@ class Work:
         self.account = Account()
         self.taken = 0
         self.error: Exception | None = None
-        self._after = seconds_after(plan)
         self._source: Iterator[Node] = plan.nodes()
         self._is_last = False  # whether the source is of nodes over the study
         self._ready: deque[Node] = deque()
@@ -164,10 +163,10 @@ class Work:
     def seconds(self, node: Node) -> float:
         """Estimated time of a node, and of what depends on it [s]."""
         graph = self.plan.graph
-        own = graph.size(node) * graph.seconds(node.task)
+        seconds = graph.size(node) * graph.seconds(node.task)
         if node.lines:
-            own += node.lines * graph.seconds("atlas")
-        return own + self._after[node.task]
+            seconds += node.lines * graph.seconds("atlas")
+        return seconds + graph.seconds_after[node.task]
 
     def request(self, node: Node) -> Request:
         """What a worker is asked for a node that was taken."""
@@ -185,8 +184,8 @@ class Work:
             graph.function(node),
             graph.params(node),
             list(self._inputs(node)),
-            limits.seconds,
-            limits.memory,
+            seconds=limits.seconds,
+            memory=limits.memory,
             codec=codec,
             alone=alone,
             most=most,
@@ -271,8 +270,8 @@ class Work:
 
         store.put(node.key, answer.record)
         self._release(node.key, "ok")
-        rows = Head.parse(answer.record.head).rows(self.plan.columns)
-        counts = count(rows, STATUS_NAMES)
+        head = ChunkCodec.summary(answer.record.head)
+        counts = count(head.rows(self.plan.columns), STATUS_NAMES)
         return _with_times(Finished(node, node.points, counts=counts), answer)
 
 
@@ -280,15 +279,3 @@ def _with_times(finished: Finished, answer: Answer) -> Finished:
     return replace(
         finished, seconds=answer.seconds, pid=answer.pid, worker=answer.worker
     )
-
-
-def seconds_after(plan: Plan) -> dict[str, float]:
-    """Estimated time of the longest chain of tasks that depend on a task of each layer
-    [s].
-    """
-    layers = plan.graph.layers
-    after = dict.fromkeys(layers, 0.0)
-    for name, layer in reversed(layers.items()):
-        for need in layer.needs:
-            after[need] = max(after[need], plan.graph.seconds(name) + after[name])
-    return after

@@ -9,7 +9,7 @@ of a million points needs no object per point.
 import functools
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from gaitsweep.pipeline.graph import layers
 from gaitsweep.pipeline.graph.keys import digest, task_key
 from gaitsweep.pipeline.grid import costs
-from gaitsweep.pipeline.grid.grid import Chunk, Grid
+from gaitsweep.pipeline.grid.grid import Chunk, Grid, Shape
 from gaitsweep.pipeline.grid.method import Method, variables
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks.contract.registry import TASKS
@@ -59,7 +59,7 @@ class Node:
         """Number of lines that it computes side by side, with all their points."""
         if self.chunk is None or self.line is not None:
             return 0
-        return len(self.chunk.numbers)
+        return self.chunk.lines
 
     @property
     def is_of_line(self) -> bool:
@@ -102,12 +102,10 @@ class Graph:
         #: Expected processor time of a task over one line, or over the study; of
         #: `points`, of one [s].
         self.seconds = functools.cache(
-            lambda name: costs.seconds(study, name, self.method)
+            lambda name: costs.seconds(study, name, self.method, self.grid.alike)
         )
-        # All lines are cut at the same slopes.
-        self._slopes_digest = functools.cache(
-            lambda *ends: digest(study.values_along[slice(*ends)].tobytes())
-        )
+        # All lines are cut at the same slopes, and their chunks packed alike.
+        self._packing = functools.cache(self._packing_of)
 
     @property
     def atlas_readers(self) -> list[str]:
@@ -139,6 +137,19 @@ class Graph:
         """Tasks over the whole study."""
         return [name for name, layer in self.layers.items() if not layer.per_line]
 
+    @functools.cached_property
+    def seconds_after(self) -> dict[str, float]:
+        """Expected time of the longest chain of tasks that depend on a task of each
+        layer [s].
+        """
+        after = dict.fromkeys(self.layers, 0.0)
+        for name, layer in reversed(self.layers.items()):
+            chain = self.seconds(name) + after[name]
+            for need in layer.needs:
+                after[need] = max(after[need], chain)
+
+        return after
+
     def _line_keys(self, number: int) -> dict[str, str]:
         line = self.study.batch_line(number)
         keys: dict[str, str] = {}
@@ -155,10 +166,14 @@ class Graph:
         if self.method.is_of_lines:
             own = self._key_of_lines(chunk)
         else:
-            own = self.line_keys(int(chunk.numbers[0]))["points"]
-        slopes = self._slopes_digest(chunk.slopes.start, chunk.slopes.stop)
-        packed = f"{chunk.shape.order} {self.grid.multipliers} {self.grid.keys}"
-        return f"points-{digest(f'{own} {slopes} {packed}'.encode())}"
+            own = self.line_keys(chunk.line)["points"]
+        packing = self._packing(chunk.slopes.start, chunk.slopes.stop, chunk.shape)
+        return f"points-{digest(f'{own} {packing}'.encode())}"
+
+    def _packing_of(self, start: int, stop: int, shape: Shape) -> str:
+        """What the keys of chunks of that shape at the same slopes share."""
+        slopes = digest(self.study.values_along[start:stop].tobytes())
+        return f"{slopes} {shape.order} {self.grid.multipliers} {self.grid.keys}"
 
     def _key_of_lines(self, chunk: Chunk) -> str:
         """Key of all lines of a chunk that are computed side by side: their walkers and
@@ -241,7 +256,7 @@ class Graph:
         if self.method is not Method.PLANE or not self.study.plane:
             return
 
-        number, plane = int(chunk.numbers[0]), self.study.plane
+        number, plane = chunk.line, self.study.plane
         left = [self.node("charts", number)]
         for node in left:  # which grows
             yield node
@@ -262,8 +277,10 @@ class Graph:
         key = self.chunk_key(chunk)
         if self.method.is_of_lines:
             return Node("points", key, chunk=chunk)
-        of_line = self.node("points", int(chunk.numbers[0]))
-        return replace(of_line, key=key, chunk=chunk)
+        line = chunk.line
+        keys = self.line_keys(line)
+        needs = tuple(keys[need] for need in self.layers["points"].needs)
+        return Node("points", key, needs, line, chunk=chunk)
 
     def function(self, node: Node) -> str:
         """Function of the task of a node; of lines side by side, that of their atlases

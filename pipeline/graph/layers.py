@@ -166,7 +166,7 @@ def _atlas_params(
         "line": line if "drive" in study.features else _without_g(line),
         "coarse": method.is_coarse,
     }
-    if (study.values_along <= 0).all():
+    if study.is_level:
         # What drives walkers there, branches over slope do not tell.
         params["level"] = True
 

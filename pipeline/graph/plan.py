@@ -195,16 +195,21 @@ class Plan:
         """
         self.check()
         node = self.graph.chunk_node(chunk)
-        if node.key not in self.store:
-            return replace(node, why=self._why("points"))
+        why = self._why_of_chunk(node.key)
+        return replace(node, why=why) if why else None
 
-        head = self.store.chunk(node.key)
+    def _why_of_chunk(self, key: str) -> str:
+        """Why a chunk is computed; empty if it is not."""
+        if key not in self.store:
+            return self._why("points")
+
+        head = self.store.chunk(key)
         if not head.holds(self.graph.variables, self.study.gaits):
-            return replace(node, why="changed")
+            return "changed"
         if self.retry and head.has_failed(self.columns):
-            return replace(node, why="retried")
+            return "retried"
 
-        return None
+        return ""
 
     def over_study(self) -> Iterator[Node]:
         """Nodes over the study that are missing, or older than what they read, inputs

@@ -3,7 +3,12 @@
 import math
 
 from gaitsweep.pipeline.grid import costs
-from gaitsweep.pipeline.grid.method import Method, is_interpolated, wants_points_alone
+from gaitsweep.pipeline.grid.method import (
+    Method,
+    is_interpolated,
+    scaling_axes,
+    wants_points_alone,
+)
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks.contract.registry import SHORT_LINE, TASKS
 
@@ -28,8 +33,8 @@ def method_of(study: Study, in_memory: bool = False) -> Method:
 
 
 def seconds_over_plane(study: Study) -> tuple[float, float]:
-    """Processor time of a grid by charts over its plane of keys, and line by line [s];
-    infinite where there is none.
+    """Processor time of a grid by charts over its plane of keys, and line by line [s],
+    without converting gaits to other units; infinite where there is none.
     """
     is_possible = (
         study.kind == "grid"
@@ -41,9 +46,11 @@ def seconds_over_plane(study: Study) -> tuple[float, float]:
     if not study.plane or not is_possible:
         return math.inf, math.inf
 
+    alike = math.prod(map(len, scaling_axes(study)))
+
     def seconds(method: Method, *tasks: str) -> float:
-        of_line = sum(costs.seconds(study, name, method) for name in tasks)
-        of_points = len(study.values_along) * costs.of_point(study, method)
+        of_line = sum(costs.seconds(study, name, method, alike) for name in tasks)
+        of_points = len(study.values_along) * costs.of_point(study, method) / alike
         return study.lines * (of_line + of_points)
 
     return seconds(Method.PLANE, "charts", "atlas"), seconds(_by_lines(study), "atlas")

@@ -8,6 +8,7 @@ from gaitsweep.pipeline.grid.method import (
     Method,
     is_charted,
     is_interpolated,
+    scaling_axes,
     span,
     variables,
 )
@@ -31,12 +32,13 @@ def starting(study: Study) -> float:
     return _total(study, STARTING)
 
 
-def seconds(study: Study, name: str, method: Method) -> float:
+def seconds(study: Study, name: str, method: Method, alike: int = 1) -> float:
     """Processor time of a task over one line, or over the study, of a mean walker of
     the study; of `points`, of one.
 
-    Over a plane few lines have an atlas, and the time of charts is shared by its lines:
-    these are means over all lines.
+    Over a plane few lines have an atlas, and the time of charts is shared by its lines;
+    of lines that differ only in their units one is solved: these are means over all
+    lines.
 
     Parameters
     ----------
@@ -45,29 +47,35 @@ def seconds(study: Study, name: str, method: Method) -> float:
         Task.
     method : Method
         Of the study's lines.
+    alike : int
+        Lines that differ only in their units of which one is solved.
 
     Returns
     -------
     float [s]
     """
     if name == "points":
-        return of_point(study, method)
-    if name == "atlas" and method is Method.PLANE:
-        return ALONE * _of_line_alone(study)
+        converted = _total(study, [POINTS["converted"]]) if alike > 1 else 0.0
+        return of_point(study, method) / alike + converted
+    if name == "atlas":
+        return _of_atlas(study, method) / alike
     if name == "charts" and study.plane:
-        return (
-            len(study.plane.axes) * _total(study, COSTS["charts"]) / study.plane.lines
-        )
+        lines = study.plane.lines * math.prod(map(len, scaling_axes(study)))
+        return len(study.plane.axes) * _total(study, COSTS["charts"]) / lines
     if name == "design":
         designs = study.lines / study.alike / study.batches
         cells = int(study.plane is not None)
         own = _total(study, COSTS["design of a plane" if cells else "design"])
         return own * designs + cells * _total(study, COSTS["plane of designs"])
 
-    if name == "atlas":
-        return _total(study, COSTS[_atlas_of(study, method)], name)
-
     return _total(study, COSTS.get(name, OTHERS), name)
+
+
+def _of_atlas(study: Study, method: Method) -> float:
+    """Processor time of the atlas of a line [s]; over a plane few lines have one."""
+    if method is Method.PLANE:
+        return ALONE * _of_line_alone(study)
+    return _total(study, COSTS[_atlas_of(study, method)], "atlas")
 
 
 def _atlas_of(study: Study, method: Method) -> str:

@@ -106,17 +106,39 @@ class Chunk:
     ----------
     spans : dict of slice
         Along each dimension of the grid, by its name.
-    numbers : ndarray of int, shape (n,)
-        Those of its lines.
+    of_lines : tuple of slice
+        Along each dimension of the grid of lines, of shape `line_shape`.
+    line_shape : tuple of int
     slopes : slice
         Of the study's slopes.
     shape : Shape
     """
 
     spans: dict[str, slice]
-    numbers: np.ndarray
+    of_lines: tuple[slice, ...]
+    line_shape: tuple[int, ...]
     slopes: slice
     shape: Shape
+
+    @property
+    def line(self) -> int:
+        """Number of its first line."""
+        number = 0
+        for span, size in zip(self.of_lines, self.line_shape, strict=True):
+            number = number * size + span.start
+        return number
+
+    @functools.cached_property
+    def numbers(self) -> np.ndarray:
+        """Numbers of its lines, shape (n,)."""
+        sides = [np.arange(span.start, span.stop) for span in self.of_lines]
+        indices = np.ix_(*sides)
+        return np.ravel_multi_index(indices, self.line_shape).ravel()
+
+    @property
+    def lines(self) -> int:
+        """Number of its lines."""
+        return math.prod(span.stop - span.start for span in self.of_lines)
 
     @property
     def per_line(self) -> int:
@@ -126,7 +148,7 @@ class Chunk:
     @property
     def points(self) -> int:
         """Number of its points."""
-        return len(self.numbers) * self.per_line
+        return math.prod(self.shape.sizes)
 
 
 class Grid:
@@ -178,11 +200,22 @@ class Grid:
         sizes = zip(self.sizes.values(), self.extent, strict=True)
         return tuple(math.ceil(n / extent) for n, extent in sizes)
 
-    @property
+    @functools.cached_property
     def _place_of_slope(self) -> int:
         """Number of the dimension along lines."""
         names = list(self.sizes)
         return names.index(self.study.along)
+
+    @functools.cached_property
+    def alike(self) -> int:
+        """Lines that differ only in their units, of which one is solved: in a chunk, or
+        in the study if chunks are of one line.
+        """
+        sizes = {axis.name: len(axis) for axis in scaling_axes(self.study)}
+        if self.method.is_of_lines:
+            of_chunk = zip(self.sizes, self.extent, strict=True)
+            sizes = {name: extent for name, extent in of_chunk if name in sizes}
+        return math.prod(sizes.values())
 
     @property
     def chunks(self) -> int:
@@ -191,23 +224,27 @@ class Grid:
 
     def chunk(self, number: int) -> Chunk:
         """The chunk of that number, in C order of the grid."""
-        places = np.unravel_index(number, self._counts)
+        places = []
+        for count in reversed(self._counts):
+            number, place = divmod(number, count)
+            places.append(place)
+
         spans = {}
-        dims = zip(self.sizes.items(), places, self.extent, strict=True)
+        dims = zip(self.sizes.items(), reversed(places), self.extent, strict=True)
         for (name, n), place, extent in dims:
-            start = int(place) * extent
+            start = place * extent
             spans[name] = slice(start, min(start + extent, n))
 
         of_lines = [spans.get("walker", slice(0, 1))]
         of_lines += [spans[axis.name] for axis in self.study.line_axes]
-        sides = [np.arange(span.start, span.stop) for span in of_lines]
-        indices = np.ix_(*sides)
-        numbers = np.ravel_multi_index(indices, self.study.line_shape).ravel()
-
         sizes = tuple(span.stop - span.start for span in spans.values())
-        shape = Shape(sizes, self.extent, self._place_of_slope)
-        slopes = spans[self.study.along]
-        return Chunk(spans, numbers, slopes, shape)
+        return Chunk(
+            spans,
+            tuple(of_lines),
+            self.study.line_shape,
+            spans[self.study.along],
+            Shape(sizes, self.extent, self._place_of_slope),
+        )
 
     def chunks_of_line(self, line: int) -> range:
         """Numbers of the chunks that hold the points of a line."""

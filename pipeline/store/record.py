@@ -40,97 +40,6 @@ class Record(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ChunkCodec:
-    """Packs the points of a chunk.
-
-    Attributes
-    ----------
-    shape : Shape
-        Of the chunk.
-    multipliers : int
-        Most of any walker of the study.
-    gaits : sequence of str
-        Labels that were solved.
-    is_archived : bool
-        Whether values are packed as an archive holds them; else they are as they are.
-    keys : int
-        By how many of the slope and keys of walkers measures are differentiated.
-    """
-
-    shape: Shape
-    multipliers: int
-    gaits: Sequence[str]
-    is_archived: bool = True
-    keys: int = 0
-
-    def encode(self, points: Points) -> Record:
-        """Pack points, without the last gaits that none of them has.
-
-        `status` and `reason` are of all gaits.
-        """
-        status = points.values["status"]
-        there = np.isin(status, OF_GAITS).any(axis=0)
-        gaits = 1 + int(np.flatnonzero(there).max(initial=-1))
-
-        columns: dict[str, int] = {}
-        pieces: list[Packed] = []
-        for name, array in points.values.items():
-            is_whole = name in ("status", "reason")
-            columns[name] = array.shape[1] if is_whole else min(gaits, array.shape[1])
-            pieces += self._pieces(name, array, columns[name])
-
-        head = {
-            "shape": dataclasses.astuple(self.shape),
-            "multipliers": self.multipliers,
-            "keys": self.keys,
-            "gaits": list(self.gaits),
-            "is_archived": self.is_archived,
-            "names": list(columns),
-            "columns": np.array(list(columns.values())),
-            "sizes": np.array([len(piece.data) for piece in pieces]),
-            "checksums": np.array([piece.checksum for piece in pieces]),
-            **_counted(points),
-        }
-        payload = b"".join(piece.data for piece in pieces)
-        return Record(serialize.dump(head), payload)
-
-    def _pieces(self, name: str, array: ndarray, columns: int) -> list[Packed]:
-        """Pack a variable, gait by gait."""
-        if has_multipliers(name):
-            array = widened(name, array, (array.shape[1], self.multipliers))
-        if "key" in VARIABLES[name].dims:
-            array = array[..., : self.keys]
-        extent = _extent(name, self.shape, self.multipliers, self.keys)
-        if not self.is_archived:
-            return [Packed(array[:, gait].tobytes(), 0) for gait in range(columns)]
-
-        values = (self.shape.unfold(array[:, gait]) for gait in range(columns))
-        return [pack_values(of_gait, extent) for of_gait in values]
-
-
-def _counted(points: Points) -> dict[str, ndarray]:
-    """What the head of a record says of its points: how many have which statuses, and
-    which sentences their gaits have.
-    """
-    rows = count_rows(points.values["status"])
-    numbers = np.array(sorted(points.sentences), REASON)
-    sentences = [points.sentences[number] for number in numbers.tolist()]
-    used = [np.isin(numbers, column) for column in points.values["reason"].T]
-
-    return {
-        "rows": np.array(list(rows)),
-        "of_row": np.array(list(rows.values())),
-        "numbers": numbers,
-        "sentences": np.array(sentences, "U"),
-        "used": np.stack(used, axis=1),
-    }
-
-
-def _extent(name: str, shape: Shape, multipliers: int, keys: int) -> tuple[int, ...]:
-    return (*shape.extent, *inner_sizes(name, multipliers, keys))
-
-
-@dataclass(frozen=True)
 class Head:
     """What a record of a chunk holds.
 
@@ -153,9 +62,8 @@ class Head:
     texts : ndarray of str, shape (m,)
     used : ndarray of bool, shape (m, gaits)
         Which gaits have each.
-    places : dict
-        Of each piece, by variable and gait, where it begins and ends in the payload,
-        and its checksum.
+    sizes, checksums : ndarray of int, shape (p,)
+        Of the pieces, gait by gait of each variable.
     """
 
     shape: Shape
@@ -169,48 +77,24 @@ class Head:
     numbers: ndarray
     texts: ndarray
     used: ndarray
-    places: dict[tuple[str, int], tuple[int, int, int]]
+    sizes: ndarray
+    checksums: ndarray
 
-    @staticmethod
-    @functools.lru_cache(256)
-    def parse(data: bytes) -> "Head":
-        """Read the head of a record.
-
-        Raises
-        ------
-        ValueError, KeyError, TypeError
-            If it is none.
+    @functools.cached_property
+    def places(self) -> dict[tuple[str, int], tuple[int, int, int]]:
+        """Of each piece, by variable and gait, where it begins and ends in the payload,
+        and its checksum.
         """
-        head: dict[str, Any] = serialize.load(data)
-        sizes = head["sizes"]
-        counts = head["columns"]
-        if (counts < 0).any() or counts.sum() != len(sizes):
-            raise ValueError("not the head of a record")
+        names = []
+        for name, gaits in self.columns.items():
+            names += [(name, gait) for gait in range(gaits)]
 
-        columns: dict[str, int] = dict(zip(head["names"], counts.tolist(), strict=True))
-        names = [(name, gait) for name, n in columns.items() for gait in range(n)]
-        ends = np.cumsum(sizes)
+        ends = np.cumsum(self.sizes)
+        starts = ends - self.sizes
         places = zip(
-            (ends - sizes).tolist(),
-            ends.tolist(),
-            head["checksums"].tolist(),
-            strict=True,
+            starts.tolist(), ends.tolist(), self.checksums.tolist(), strict=True
         )
-
-        return Head(
-            Shape.of(*head["shape"]),
-            head["multipliers"],
-            head["keys"],
-            frozenset(head["gaits"]),
-            head["is_archived"],
-            columns,
-            head["rows"],
-            head["of_row"],
-            head["numbers"],
-            head["sentences"],
-            head["used"],
-            dict(zip(names, places, strict=True)),
-        )
+        return dict(zip(names, places, strict=True))
 
     def holds(self, variables: Iterable[str], gaits: Iterable[str]) -> bool:
         """Whether these variables and gaits were solved."""
@@ -253,6 +137,7 @@ class Head:
         points = math.prod(self.shape.sizes)
         more = extent[len(self.shape.extent) :]
         dtype = dtype_of(name)
+
         columns: list[ndarray] = []
         for gait in range(self.columns[name]):
             piece = self.piece(payload, name, gait)
@@ -269,9 +154,139 @@ class Head:
         return np.empty((points, 0, *more), dtype)
 
 
-def decode(record: Record, names: Iterable[str] | None = None) -> Points:
-    """Points of a record, with all variables that it holds or some of them."""
-    head = Head.parse(record.head)
-    payload = memoryview(record.payload)
-    values = {name: head.unpack(payload, name) for name in names or head.columns}
-    return Points(values, head.sentences())
+@dataclass(frozen=True)
+class ChunkCodec:
+    """Packs the points of a chunk, and unpacks those of any.
+
+    Attributes
+    ----------
+    shape : Shape
+        Of the chunk.
+    multipliers : int
+        Most of any walker of the study.
+    gaits : sequence of str
+        Labels that were solved.
+    is_archived : bool
+        Whether values are packed as an archive holds them; else they are as they are.
+    keys : int
+        By how many of the slope and keys of walkers measures are differentiated.
+    """
+
+    shape: Shape
+    multipliers: int
+    gaits: Sequence[str]
+    is_archived: bool = True
+    keys: int = 0
+
+    def encode(self, points: Points) -> Record:
+        """Pack points, without the last gaits that none of them has.
+
+        `status` and `reason` are of all gaits.
+        """
+        status = points.values["status"]
+        there = np.isin(status, OF_GAITS).any(axis=0)
+        gaits = 1 + int(np.flatnonzero(there).max(initial=-1))
+
+        columns: dict[str, int] = {}
+        pieces: list[Packed] = []
+        for name, array in points.values.items():
+            columns[name] = array.shape[1]
+            if name not in ("status", "reason"):
+                columns[name] = min(gaits, array.shape[1])
+            pieces += self._pieces(name, array, columns[name])
+
+        head = {
+            "shape": dataclasses.astuple(self.shape),
+            "multipliers": self.multipliers,
+            "keys": self.keys,
+            "gaits": list(self.gaits),
+            "is_archived": self.is_archived,
+            "names": list(columns),
+            "columns": np.array(list(columns.values())),
+            "sizes": np.array([len(piece.data) for piece in pieces]),
+            "checksums": np.array([piece.checksum for piece in pieces]),
+            **_counted(points),
+        }
+        payload = b"".join(piece.data for piece in pieces)
+        return Record(serialize.dump(head), payload)
+
+    def _pieces(self, name: str, array: ndarray, columns: int) -> list[Packed]:
+        """Pack a variable, gait by gait."""
+        if has_multipliers(name):
+            array = widened(name, array, (array.shape[1], self.multipliers))
+        if "key" in VARIABLES[name].dims:
+            array = array[..., : self.keys]
+        extent = _extent(name, self.shape, self.multipliers, self.keys)
+
+        pieces = []
+        for gait in range(columns):
+            values = array[:, gait]
+            if self.is_archived:
+                pieces.append(pack_values(self.shape.unfold(values), extent))
+            else:
+                pieces.append(Packed(values.tobytes(), 0))
+
+        return pieces
+
+    @staticmethod
+    @functools.lru_cache(256)
+    def summary(head: bytes) -> Head:
+        """What a record holds, by its head.
+
+        Raises
+        ------
+        ValueError, KeyError, TypeError, AttributeError
+            If it is none.
+        """
+        found: dict[str, Any] = serialize.load(head)
+        sizes = found["sizes"]
+        counts = found["columns"]
+        is_right = (counts >= 0).all() and counts.sum() == len(sizes)
+        if not is_right or len(found["checksums"]) != len(sizes):
+            raise ValueError("not the head of a record")
+
+        return Head(
+            Shape.of(*found["shape"]),
+            found["multipliers"],
+            found["keys"],
+            frozenset(found["gaits"]),
+            found["is_archived"],
+            dict(zip(found["names"], counts.tolist(), strict=True)),
+            found["rows"],
+            found["of_row"],
+            found["numbers"],
+            found["sentences"],
+            found["used"],
+            sizes,
+            found["checksums"],
+        )
+
+    @classmethod
+    def decode(cls, record: Record, names: Iterable[str] | None = None) -> Points:
+        """Points of a record, with all variables that it holds or some of them."""
+        head = cls.summary(record.head)
+        payload = memoryview(record.payload)
+        values = {name: head.unpack(payload, name) for name in names or head.columns}
+        return Points(values, head.sentences())
+
+
+def _counted(points: Points) -> dict[str, ndarray]:
+    """What the head of a record says of its points: how many have which statuses, and
+    which sentences their gaits have.
+    """
+    rows = count_rows(points.values["status"])
+    numbers = np.array(sorted(points.sentences), REASON)
+    sentences = [points.sentences[number] for number in numbers.tolist()]
+    used = [np.isin(numbers, column) for column in points.values["reason"].T]
+
+    return {
+        "rows": np.array(list(rows)),
+        "of_row": np.array(list(rows.values())),
+        "numbers": numbers,
+        "sentences": np.array(sentences, "U"),
+        "used": np.stack(used, axis=1),
+    }
+
+
+def _extent(name: str, shape: Shape, multipliers: int, keys: int) -> tuple[int, ...]:
+    return (*shape.extent, *inner_sizes(name, multipliers, keys))

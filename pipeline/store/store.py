@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.statuses import ENDINGS
 from gaitsweep.pipeline.store.points import Points
-from gaitsweep.pipeline.store.record import Head, Record, decode
+from gaitsweep.pipeline.store.record import ChunkCodec, Head, Record
 
 
 class Outcome(NamedTuple):
@@ -89,12 +89,12 @@ class Store(ABC):
     def chunk(self, key: str) -> Head:
         """Contents of the record of a chunk."""
         with self.reading():
-            return Head.parse(self.head(key))
+            return ChunkCodec.summary(self.head(key))
 
     def points(self, key: str, names: Iterable[str] | None = None) -> Points:
         """Points in the record of a chunk, with all its variables or some."""
         with self.reading():
-            return decode(self.get(key), names)
+            return ChunkCodec.decode(self.get(key), names)
 
     def put_result(self, key: str, outcome: Outcome, result: bytes) -> None:
         """Store the result of a task over a line or a study."""

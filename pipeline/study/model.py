@@ -238,6 +238,11 @@ class Study:
         """
         return next(a.values for a in self.axes if a.name == self.along)
 
+    @functools.cached_property
+    def is_level(self) -> bool:
+        """Whether none of the slopes leads down."""
+        return bool((self.values_along <= 0).all())
+
     def archived(self, variable: str) -> str:
         """Name of a variable in archives: what is varied has its own."""
         return str(self.at["vary"]) if variable == VARIED else variable
@@ -254,7 +259,7 @@ class Study:
         """Every axis but that along which the points of a line lie."""
         return tuple(a for a in self.axes if a.name != self.along)
 
-    @property
+    @functools.cached_property
     def line_shape(self) -> tuple[int, ...]:
         """Shape of the grid of lines: walkers first, then `line_axes`."""
         return (len(self.walkers), *map(len, self.line_axes))

@@ -287,8 +287,12 @@ def _what_is_turned_has_inertia(study: Study, top: Location) -> Iterator[StudyEr
 
 def _level(study: Study) -> list[float]:
     """Slopes of 0 and below that a study asks for."""
-    axes = [axis.values for axis in study.axes if axis.name == "slope"]
-    return [x for values in axes for x in values.tolist() if slopes.is_level(x)]
+    level: list[float] = []
+    for axis in study.axes:
+        if axis.name == "slope":
+            level += axis.values[slopes.is_level(axis.values)].tolist()
+
+    return level
 
 
 def _what_drives_has_a_logarithm(study: Study, top: Location) -> Iterator[StudyError]:

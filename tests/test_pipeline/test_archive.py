@@ -52,7 +52,7 @@ from gaitsweep.pipeline.report import pages
 from gaitsweep.pipeline.statuses import ALL_STATUSES as STATUS
 from gaitsweep.pipeline.store.file import CorruptStoreError
 from gaitsweep.pipeline.store.journal import Journal
-from gaitsweep.pipeline.store.record import Head, Record
+from gaitsweep.pipeline.store.record import ChunkCodec, Record
 from gaitsweep.pipeline.study import parse
 from gaitsweep.tasks.contract.accuracy import OF_INTEGRATION
 from gaitsweep.tasks.contract.registry import ALWAYS
@@ -375,7 +375,7 @@ def never_packed(folder, name):
         graph = Graph(parse.read(folder / "s.toml"))
         key = graph.chunk_node(graph.grid.chunk(0)).key
         head, payload = journal.get(key)
-        piece = Head.parse(head).piece(memoryview(payload), name, 0).data
+        piece = ChunkCodec.summary(head).piece(memoryview(payload), name, 0).data
         damaged = payload.replace(piece, b"\xff" * len(piece))
         journal.put(key, Record(head, damaged))
     return command

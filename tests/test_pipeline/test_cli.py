@@ -139,20 +139,37 @@ def test_a_small_plan_is_quick_and_loads_no_solver(tmp_path):
 def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
     (tmp_path / "s.toml").write_text(f'name = "s"\nwalker = "E"\n[axes]\n{axes}\n')
     assert quickest("plan", "s.toml", cwd=tmp_path) < 1.0
-    # The kernel's own high-water mark of this program: getrusage would count what the
-    # parent held before it.
+    told, kibibytes = plan_and_memory(tmp_path)
+    assert "1,000,000 points" in told and kibibytes < 200 << 10
+
+
+def plan_and_memory(folder):
+    """First line of the plan of a study, and the memory that it took [KiB]: the kernel's
+    own high-water mark of this program, as getrusage would count what the parent held
+    before it.
+    """
     program = (
         "from pathlib import Path; from gaitsweep.pipeline.cli import commands; commands.main(['plan', 's.toml']);"
         "print(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])"
     )
     found = subprocess.run(
         [sys.executable, "-c", program],
-        cwd=tmp_path,
+        cwd=folder,
         text=True,
         capture_output=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     ).stdout.splitlines()
-    assert "1,000,000 points" in found[0] and int(found[-1]) < 200 * 1024
+    return found[0], int(found[-1])
+
+
+def test_slopes_are_read_as_arrays_however_many(tmp_path):
+    axes = "slope = { from = 1e-3, to = 0.02, n = 10000000 }\nR = { from = 0.0, to = 0.2, n = 100 }"
+    (tmp_path / "s.toml").write_text(f'name = "s"\nwalker = "E"\n[axes]\n{axes}\n')
+
+    told, kibibytes = plan_and_memory(tmp_path)
+
+    # Ten million slopes are 80 MB; as numbers of Python they would be 320.
+    assert "1,000,000,000 points" in told and kibibytes < 300 << 10
 
 
 LONG_NAME = [300 * "x" + ".nc"]

@@ -6,7 +6,7 @@ import pytest
 from gaitsweep.pipeline.engine import worker_process
 from gaitsweep.pipeline.engine.request import Request
 from gaitsweep.pipeline.grid.grid import Shape
-from gaitsweep.pipeline.store.record import ChunkCodec, decode
+from gaitsweep.pipeline.store.record import ChunkCodec
 
 #: Lines of which some cannot be computed; each call notes how many it was asked for.
 TASKS = """
@@ -64,7 +64,7 @@ def divided(tmp_path, monkeypatch):
         )
         answer = worker_process.run(request)
         asked = list(map(int, (tmp_path / "asked").read_text().split()))
-        return decode(answer.record), answer.atlases, asked
+        return ChunkCodec.decode(answer.record), answer.atlases, asked
 
     yield divided
     worker_process.close_all()

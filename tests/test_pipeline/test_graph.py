@@ -10,7 +10,6 @@ import pytest
 
 from gaitsweep.pipeline import serialize
 from gaitsweep.pipeline.archive import write
-from gaitsweep.pipeline.engine.work import seconds_after
 from gaitsweep.pipeline.errors import StoppedError
 from gaitsweep.pipeline.graph import reads
 from gaitsweep.pipeline.graph.graph import Graph
@@ -125,7 +124,7 @@ def test_a_task_over_the_study_reads_evenly_spaced_slopes(make, tmp_path, monkey
     assert np.array_equal(found["stance_angle"][:, plan.columns[0]], found["slope"])
 
 
-def test_what_depends_on_a_task_is_in_its_urgency(make, tmp_path):
+def test_what_depends_on_a_task_is_in_its_urgency(make):
     study = make(
         want={
             "variables": ["period"],
@@ -133,13 +132,13 @@ def test_what_depends_on_a_task_is_in_its_urgency(make, tmp_path):
             "claims": ["E2"],
         }
     )
-    with contextlib.closing(Journal(tmp_path / "j")) as store:
-        after = seconds_after(Plan(study, store))
-    seconds = {name: Graph(study).seconds(name) for name in Graph(study).layers}
-    assert (
-        after["points"] == max(seconds["scaling"], seconds["claims"])
-        and after["claims"] == 0
-    )
+
+    graph = Graph(study)
+
+    after = graph.seconds_after
+    seconds = {name: graph.seconds(name) for name in graph.layers}
+    assert after["points"] == max(seconds["scaling"], seconds["claims"])
+    assert after["claims"] == 0
     assert after["atlas"] == max(
         seconds["points"] + after["points"], seconds["landmarks"]
     )

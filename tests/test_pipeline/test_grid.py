@@ -92,3 +92,18 @@ def test_chunks_cover_the_grid_once_and_know_their_lines(slopes, axes, lines, is
     assert all(
         list(found.chunks_of_line(line)) == numbers for line, numbers in of_line.items()
     )
+
+
+@pytest.mark.parametrize("slopes", [8, 300])
+def test_a_chunk_counts_lines_and_points_without_numbering_them(slopes):
+    slope = {"from": 0.01, "to": 0.02, "n": slopes}
+    radius = {"from": 0.0, "to": 0.3, "n": 90}
+    axes = {"R": radius, "slope": slope, "c_t": [0.1, 0.2, 0.3]}
+    table = {"name": "s", "walker": ["B", "E"], "axes": axes}
+    grid = Grid(parse(table, "", Path("s.toml")))
+
+    chunks = [grid.chunk(k) for k in range(grid.chunks)]
+
+    assert [chunk.line for chunk in chunks] == [chunk.numbers[0] for chunk in chunks]
+    assert [chunk.lines for chunk in chunks] == [len(chunk.numbers) for chunk in chunks]
+    assert sum(chunk.points for chunk in chunks) == 2 * 90 * 3 * slopes

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from answering import Answering, ok, work_of
-from gaitsweep.pipeline import serialize
+from gaitsweep.pipeline import dispatch, serialize
 from gaitsweep.pipeline.engine import worker_process
 from gaitsweep.pipeline.engine.engine import Engine
 from gaitsweep.pipeline.engine.listener import Listener
@@ -391,6 +391,28 @@ def test_a_place_in_this_process_answers_what_a_task_raises():
 
     assert answered == ticket and answer.status == "raised"
     assert answer.reason.startswith("It raised TypeError: ") and place.has_room()
+
+
+def test_only_requests_that_share_all_but_their_lines_are_computed_together(
+    monkeypatch,
+):
+    slope = np.linspace(0.01, 0.02, 2000)  # of which a printed array shows the ends
+    other = np.where(np.arange(2000) == 1000, 0.0, slope)
+
+    def beside(params, inputs):
+        return [({"lines": len(params["lines"])}, {}) for _ in params["lines"]]
+
+    functions = {"alone": lambda params, inputs: {"lines": 1}, "beside": beside}
+    monkeypatch.setattr(dispatch, "resolve", functions.get)
+    place = Inline(room=3)
+    for values in (slope, other, slope):
+        params = {"line": {}, "values": values}
+        place.submit(Request("alone", params, [], 1.0, 1, together="beside"))
+
+    answers = dict(place.completed(0.0))
+
+    lines = [serialize.load(answers[ticket].data)["lines"] for ticket in range(3)]
+    assert lines == [2, 1, 2]
 
 
 def test_a_guard_keeps_its_worker_process_while_it_lives(tmp_path, monkeypatch):

@@ -14,7 +14,9 @@ import pytest
 from conftest import ROOT, STUDY
 from gaitsweep.pipeline.cli import commands
 from gaitsweep.pipeline.graph.graph import Graph
+from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid.choose_method import method_of, seconds_over_plane
+from gaitsweep.pipeline.store.memory import Memory
 from gaitsweep.pipeline.study.parse import read
 
 LINE = 'name = "s"\nwalker = "D"\n[axes]\nslope = { from = 0.001, to = 0.02, n = 20 }\n'
@@ -26,6 +28,8 @@ STUDIES = {
     "1e5 points": LINE.replace("n = 20", "n = 100000"),
     "a plane": LINE.replace('"D"', '"E"').replace("n = 20", "n = 8")
     + "R = { from = 0.0, to = 0.1, n = 150 }\n",
+    "walkers that differ in units": LINE.replace("n = 20", "n = 8")
+    + "m_h = [0.0, 0.1]\ng = { from = 1.0, to = 10.0, n = 200 }\n",
     "a kneed line": LINE.replace('"D"', '"C"'),
     "cascade": 'name = "s"\nkind = "cascade"\nwalker = "D"\n[axes]\nslope = [0.01, 0.02]\n',
     "basin": 'name = "s"\nkind = "basin"\nwalker = "D"\n[axes]\nslope = [0.009]\n',
@@ -158,6 +162,21 @@ def test_costs_grow_with_what_is_asked(tmp_path):
     assert (
         sorted(set(atlas)) != atlas[:1] and atlas[1] < atlas[2] == atlas[3] < atlas[4]
     )
+
+
+@pytest.mark.parametrize("name", ["a line", "a plane", "gaits of two steps", "long"])
+def test_lines_that_differ_in_units_are_planned_as_one(tmp_path, name):
+    def seconds(text):
+        (tmp_path / "s.toml").write_text(text)
+        return summary(Plan(read(tmp_path / "s.toml"), Memory())).seconds
+
+    text = STUDIES.get(name, LINE.replace("n = 20", "n = 1000"))
+    units = "[axes]\ng = { from = 1.0, to = 10.0, n = 60 }\n"
+
+    one, sixty = seconds(text), seconds(text.replace("[axes]\n", units))
+
+    # Each point is converted, which takes little.
+    assert 0.9 * one < sixty < 2 * one
 
 
 def test_a_plan_for_machines(tmp_path, monkeypatch, capsys):
