@@ -76,19 +76,17 @@ def _measure(
 
 
 def check_steps(steps: int, asked: Mapping[str, Any], place: Location) -> None:
-    """Check that gaits of some steps can be sought as is asked: those of several are
-    followed over slopes that lead down.
+    """Check that gaits of some steps can be sought as is asked: over slopes those of
+    several are followed where these lead down.
 
     Raises
     ------
     StudyError
         At a place, if they cannot.
     """
-    if steps == 1:
+    if steps == 1 or asked["vary"] != "slope":
         return
     low, _ = asked.get("between", (1.0, 1.0))
-    if asked["vary"] != "slope":
-        raise place.wrong("must be 1 where a key is varied", steps)
     if low <= 0:
         raise place.wrong("must be 1 where `between` has slopes of 0 or below", steps)
 

@@ -20,6 +20,7 @@ from gaitsweep.tasks.branches.equations import (
 )
 from gaitsweep.tasks.branches.pseudo_arclength import CLOSED, Track, joined
 from gaitsweep.tasks.branches.root import OnCurve, bracketed_root, hermite
+from gaitsweep.tasks.branches.tracking import HALVED, keeps_apart
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait, Numbers, PerLane
 from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.problem import EPS
@@ -130,6 +131,8 @@ class _Followed(engine.Tracks):
     ) -> ndarray:
         if (point.Z[0] < _LEAST_LOG_ANGLE).any():
             return np.array([VANISHING])
+        if not keeps_apart(last, point.Z, self.equations.problem).all():
+            return np.array([HALVED])
         return np.array(["" if self._is_inside(point.Z) else BORDER])
 
     def _nearest_within(self, Z: Coordinates) -> ndarray:

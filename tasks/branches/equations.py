@@ -295,6 +295,12 @@ class Equations:
         other.problem = self.problem.over(drive)
         return other
 
+    def of_steps(self, steps: int) -> Equations:
+        """Return the equations of the same walkers' gaits of so many steps."""
+        other = copy.copy(self)
+        other.problem = self.problem.of_steps(steps)
+        return other
+
     def having(self, conditions: Sequence[Condition]) -> Equations:
         """Return the equations of the same gaits with other conditions."""
         other = copy.copy(self)
@@ -315,7 +321,8 @@ class Equations:
         """Return the step map at points X (u, n)."""
         if self.keys is None:
             return self.problem
-        return self.keys.lanes(self.split(X)[1], self.problem.drive)
+        lanes = self.keys.lanes(self.split(X)[1], self.problem.drive)
+        return lanes.of_steps(self.problem.steps)
 
     def evaluate(self, X: Coordinates, samples: int = 0) -> Evaluation:
         """Evaluate steps at points X (u, n), with `samples` of their motion as

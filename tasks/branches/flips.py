@@ -7,7 +7,7 @@ repeats itself, its halves exchanged.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy import ndarray
@@ -19,7 +19,7 @@ from gaitsweep.tasks.branches.joint import Evaluation
 from gaitsweep.tasks.branches.pseudo_arclength import NO_FURTHER, Point
 from gaitsweep.tasks.branches.tracking import HALVED, correct
 from gaitsweep.tasks.gaits.newton import similarity
-from gaitsweep.tasks.mechanics.arrays import Gait, Unknowns
+from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait, Unknowns
 from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.step.several_steps import begun_at, joined, sections
 
@@ -42,28 +42,48 @@ _CLEAR, _CLEAR_SHARE = 1e-3, 0.1
 
 
 def doubled(flip: Evaluation, expected: float) -> tuple[Point, ndarray, float] | None:
-    """Begin the branch of twice as many steps at a flip.
+    """Begin the branch of twice as many steps over the slope at a flip, as
+    `doubled_over` does.
+    """
+    problem = flip.problem.of_steps(2 * flip.problem.steps)
+
+    def corrected(guess: Coordinates, border: Coordinates) -> Point:
+        return correct(problem, guess, border, _MAX_ITERATIONS)
+
+    return doubled_over(flip, float(flip.q[0]), expected, corrected)
+
+
+def doubled_over(
+    flip: Evaluation,
+    last: float,
+    expected: float,
+    corrected: Callable[[Coordinates, Coordinates], Point],
+) -> tuple[Point, ndarray, float] | None:
+    """Begin the curve of twice as many steps at a flip, over what is the last unknown.
 
     Parameters
     ----------
     flip : Evaluation
         Of one lane, with a multiplier of -1.
+    last : float
+        Its last unknown: ln slope, or a key at a fixed slope.
     expected : float
-        Rough length in ln slope of the branch up to its own flip.
+        Rough length in that of the curve up to its own flip.
+    corrected : callable
+        Corrects points of the curve (c, 1) across a direction (c, 1).
 
     Returns
     -------
     tuple or None
-        A point of the branch, the direction (c,) away from the flip and the length of a
+        A point of the curve, the direction (c,) away from the flip and the length of a
         first step along it, as `points_along` takes them; None where no point is found.
 
     Notes
     -----
     The first point is solved for at fixed a, where the branch of fewer steps has no point.
     """
-    problem = flip.problem.of_steps(2 * flip.problem.steps)
     twice = _twice(flip)
-    Z = np.append(twice[:, 0], flip.q[0])
+    Z = np.append(twice[:, 0], last)
     direction = _along_doubled(flip, Z)
     expected = abs(expected)
 
@@ -71,8 +91,8 @@ def doubled(flip: Evaluation, expected: float) -> tuple[Point, ndarray, float] |
     found, found_at = None, 0.0
     for _ in range(_MAX_DISTANCES):
         guess = Z + distance * direction
-        point = correct(problem, guess[:, None], direction[:, None], _MAX_ITERATIONS)
-        apart = abs(float(point.at.q[0] - flip.q[0]))
+        point = corrected(guess[:, None], direction[:, None])
+        apart = abs(float(point.Z[-1, 0] - last))
         if point.ok[0] and apart:
             found, found_at = point, distance
             if _NEAREST * expected < apart < _FARTHEST * expected:

@@ -262,11 +262,17 @@ def _is_on(branch: Branch, segment: int, point: Point) -> bool:
 @np.errstate(invalid="ignore", divide="ignore")
 def _is_near(problem: Problem, at: Polished, w: Unknowns) -> ndarray:
     """Whether gaits lie where Newton's method began and repeat no sooner, shape (n,)."""
-    apart = distances_of_steps(at.w, problem.m, problem.steps)
-    of_guess = distances_of_steps(w, problem.m, problem.steps)
+    return np.asarray(same(at.w, w, ON_BRANCH) & repeats_no_sooner(problem, at.w, w))
+
+
+def repeats_no_sooner(problem: Problem, w: Unknowns, guess: Unknowns) -> ndarray:
+    """Return whether gaits (m + k, n) of several steps repeat after no fewer, as their
+    guesses do, shape (n,).
+    """
+    apart = distances_of_steps(w, problem.m, problem.steps)
+    of_guess = distances_of_steps(guess, problem.m, problem.steps)
     least = np.maximum(_LEAST_SHARE * of_guess, _LEAST_APART)
-    are_apart = (apart > least).all(axis=0)
-    return np.asarray(same(at.w, w, ON_BRANCH) & are_apart)
+    return np.asarray((apart > least).all(axis=0))
 
 
 def is_step(point: Point) -> Procedure[bool]:

@@ -262,15 +262,28 @@ def _tests(point: Point, direction: Coordinates) -> ndarray:
     return np.array([side, _LARGE_SUM * np.arcsinh(multipliers / _LARGE_SUM)])
 
 
-def _keeps_apart(before: Coordinates, after: Coordinates, problem: Problem) -> ndarray:
-    """Whether the halves of gaits Z (c, n) have not changed sides between two points of
-    their branches, shape (n,).
+def keeps_apart(before: Coordinates, after: Coordinates, problem: Problem) -> ndarray:
+    """Return whether the halves of gaits have not changed sides between two points of
+    their curves: where they do, a flip of half as many steps lies between.
+
+    Parameters
+    ----------
+    before, after : ndarray, shape (m + k or more, n)
+        Similarity coordinates, and whatever follows them.
+    problem : Problem
+        Of all steps.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
     """
     if problem.steps % 2:
         return np.ones(before.shape[1], bool)
 
+    joint = problem.m + problem.phases
+
     def apart(Z: Coordinates) -> ndarray:
-        y, _ = sections(Z[:-1], problem.m, problem.steps)
+        y, _ = sections(Z[:joint], problem.m, problem.steps)
         return np.asarray(y - np.roll(y, problem.steps // 2, axis=0))
 
     return total(np.concatenate(apart(before) * apart(after))) > 0
@@ -357,7 +370,7 @@ class _Branches(Tracks):
         if self.problem.steps > 1:
             is_unstable = np.abs(point.at.multipliers[:, 0]) > MAX_MULTIPLIER
             why[is_unstable] = "multiplier_limit"
-            why[~_keeps_apart(last, point.Z, self.problem)] = HALVED
+            why[~keeps_apart(last, point.Z, self.problem)] = HALVED
 
         due = np.flatnonzero((why == "") & (self.count[tracks] % _CHECK_EVERY == 0))
         if len(due):

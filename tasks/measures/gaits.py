@@ -41,6 +41,7 @@ from gaitsweep.tasks.step.problem import Problem, residual_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride, Strides, side_by_side
 from gaitsweep.tasks.step.step_map import Stride
 from gaitsweep.tasks.walkers.walker import DIFFERENTIATED, Walker
+from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Significant bits in which bounds are kept that need not be exact.
 _BOUND_BITS = 4
@@ -402,7 +403,7 @@ def steps_of(
     Parameters
     ----------
     problem : Problem
-        Of one walker, or, if gaits are of one step, of one for each.
+        Of one walker, or of one for each gait.
     walker : Walker
         That walker, or an array of them.
     stride : Stride or Strides
@@ -413,7 +414,11 @@ def steps_of(
     slope : ndarray, shape (n,) [rad]
     """
     s, n = problem.steps, len(slope)
-    single = problem.of_steps(1)
+    lanes = np.tile(np.arange(n), s)
+    single = problem.of_steps(1).some(lanes)
+    if s > 1 and isinstance(walker, WalkerArray):
+        walker = walker.some(lanes)
+
     scale, slope = np.tile([scale, slope], s)
     y = side_by_side(y, s)
     state = problem.step.start(y, single.parameters(slope, scale))

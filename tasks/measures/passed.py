@@ -64,15 +64,8 @@ class Curve:
 
     @classmethod
     def of_branch(cls, problem: Problem, branch: Branch) -> Curve:
-        """Return a branch of gaits over the slope, those of several steps begun at the
-        step with the largest stance angle, of which they have some measures.
-        """
-
-        def at(place: np.ndarray) -> Coordinates:
-            Z = branch.at(place)
-            return np.vstack([from_largest(Z[:-1], branch.m, branch.steps), Z[-1:]])
-
-        return cls(Equations(problem), len(branch.q), at)
+        """Return a branch of gaits over the slope."""
+        return cls(Equations(problem), len(branch.q), branch.at)._from_largest()
 
     def between(self, first: int, last: int) -> Curve:
         """Return the part of the curve from one of its nodes to another."""
@@ -94,7 +87,20 @@ class Curve:
             after = points[k + 1].T, tangents[k + 1].T
             return hermite(before, after, lengths[k], share)
 
-        return cls(equations, len(points), at)
+        return cls(equations, len(points), at)._from_largest()
+
+    def _from_largest(self) -> Curve:
+        """The curve with every gait begun at the step with the largest stance angle, of
+        which those of several steps have some measures.
+        """
+        problem = self.equations.problem
+        joint = problem.m + problem.phases
+
+        def at(place: np.ndarray) -> Coordinates:
+            gait, others = np.split(self.at(place), [joint])
+            return np.vstack([from_largest(gait, problem.m, problem.steps), others])
+
+        return self if problem.steps == 1 else replace(self, at=at)
 
 
 @dataclass(frozen=True)
@@ -424,5 +430,8 @@ class Passed:
     def within(self, low: float, high: float) -> Passed:
         """Return those whose last unknown lies in a range."""
         varied = self.X[-1]
-        some = (varied >= low) & (varied <= high)
+        return self.some((varied >= low) & (varied <= high))
+
+    def some(self, some: np.ndarray) -> Passed:
+        """Return some of them, by a mask."""
         return Passed(self.value[some], self.place[some], self.X[:, some])

@@ -125,7 +125,7 @@ class Problem:
         over, counted = over_slopes(self.drive.base)
         walkers = self.drive.walkers(self.every_walker, drive)
         lanes = Lanes(walkers, self.structure, over, self._constants_at(drive))
-        return lanes, np.full(len(drive), counted)
+        return lanes.of_steps(self.steps), np.full(len(drive), counted)
 
     def _constants_at(self, drive: np.ndarray) -> np.ndarray:
         """The structure's constants of every lane, shape (constants, n)."""
@@ -354,7 +354,7 @@ class Lanes(Problem):
         alone.drive = self.drive
         alone.walker = self.walker_of(lane)
         alone.constants = self.constants[:, [self.lanes[lane]]]
-        alone._set(self.structure, 1)
+        alone._set(self.structure, self.steps)
         return alone
 
 

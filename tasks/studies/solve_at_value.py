@@ -15,7 +15,7 @@ from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.equations import Equations, Keys
-from gaitsweep.tasks.branches.locate import settle_on_branches
+from gaitsweep.tasks.branches.locate import repeats_no_sooner, settle_on_branches
 from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.contract import status
 from gaitsweep.tasks.contract.registry import GAITS, SLOPES, VARIABLES, VARIED
@@ -161,9 +161,9 @@ def lines(
     params : mapping
         `lines`, the line of each, with its `slope` if a key is varied; `at`, with
         `measure`, `vary` ("slope" or a key) and perhaps `between`, its least and
-        largest value; `steps` after which gaits repeat (1 if omitted; if more, the slope
-        is varied); `slope`, ndarray, shape (v,), the values [the walker's units];
-        the others as `tasks.studies.solve_points:points` has them.
+        largest value; `steps` after which gaits repeat (1 if omitted); `slope`,
+        ndarray, shape (v,), the values [the walker's units]; the others as
+        `tasks.studies.solve_points:points` has them.
     inputs : list
         Empty.
 
@@ -438,10 +438,11 @@ def _along_key(line: Mapping[str, Any], target: _Target, wanted: Wanted) -> _Fou
     """Gaits of a line's slope, at any value of a key in its range."""
     walker_at = walkers_over(line, target.vary)
     keys = Keys.of_one(target.vary, walker_at, target.low, target.high)
-    gaits = Equations(keys, [], float(line["slope"]))
+    gaits = Equations(keys, [], float(line["slope"])).of_steps(target.steps)
     curves = [Curve.of_points(gaits, *each) for each in gaits_over_key(gaits)]
     samples = [Sampled.of(curve, target.condition) for curve in curves]
-    log = [f"{len(samples)} curves of gaits over `{target.vary}` searched"]
+    of_steps = f" of {target.steps} steps" if target.steps > 1 else ""
+    log = [f"{len(samples)} curves of gaits{of_steps} over `{target.vary}` searched"]
     groups: list[Passed] = []
     if _is_unchanged(samples):
         log.append(f"{target.measure} does not change with `{target.vary}`")
@@ -478,17 +479,21 @@ def _solve_at_keys(
     return solved, groups, numbers, values, slopes
 
 
-def _guesses_at(gaits: Equations, keys: Keys, X: np.ndarray) -> tuple[Lanes, Guesses]:
+def _guesses_at(gaits: Equations, keys: Keys, X: np.ndarray) -> tuple[Problem, Guesses]:
     """The walkers at points X (u, n) of curves of gaits over a key, and guesses there."""
     (values,) = keys.values(X[-1:])
     walkers = [keys.walker_at(value) for value in values.tolist()]
-    lanes = Lanes(walkers, keys.structure, gaits.problem.drive)
+    single = Lanes(walkers, keys.structure, gaits.problem.drive)
+    lanes = single.of_steps(gaits.problem.steps)
     Z, _ = gaits.split(X)
     return lanes, unmeasured(lanes, Z[:-1], np.exp(Z[-1]))
 
 
 def _settle(problem: Problem, guesses: Guesses, accuracy: float) -> Polished:
-    return settle(problem, guesses, accuracy=accuracy)
+    gaits = settle(problem, guesses, accuracy=accuracy)
+    # Beside a flip Newton's method may lead to the gait of half as many steps.
+    gaits.converged &= repeats_no_sooner(problem, gaits.w, guesses.w)
+    return gaits
 
 
 def _is_unchanged(samples: Sequence[Sampled]) -> bool:
@@ -540,7 +545,8 @@ def _records(
         is_long = values["heelstrike_rate_ratio"] < LONG_BELOW
         label = "long" if is_long else "short"
         key = {target.vary: float(found.varied[lane])} if is_of_key else {}
+        slope = float(found.slope[lane])
+        own = {**line, "set": {**line["set"], **key}}
         if target.steps > 1:
-            values |= end_of_first_step(line, float(found.slope[lane]), values)
-        walker = walker_of_line({**line, "set": {**line["set"], **key}})
-        yield key | record(label, float(found.slope[lane]), values, walker)
+            values |= end_of_first_step(own, slope, values)
+        yield key | record(label, slope, values, walker_of_line(own))

@@ -133,14 +133,6 @@ def test_a_key_that_only_changes_units_changes_no_froude_speed():
             "`between` must be slopes above 0, as nothing but gravity drives the walker",
         ),
         (
-            {
-                "at": {"speed": 0.3, "vary": "m_h"},
-                "axes": {"slope": [0.01]},
-                "options": {"steps": 2},
-            },
-            "`steps` must be 1 where a key is varied; got 2",
-        ),
-        (
             {"want": {"figures": ["loglog"]}},
             "`loglog` is of gaits at slopes, and `at` seeks them at values",
         ),
@@ -169,10 +161,6 @@ def test_what_cannot_be_asked_is_refused_in_a_line(tmp_path, changes, sentence):
         (
             {"at": {"speed": 0.3}, "vary": "R", "slope": 0.01, "R": 0.2},
             "`R` is varied and cannot be set too; got 0.2.",
-        ),
-        (
-            {"at": {"speed": 0.3}, "vary": "R", "slope": 0.01, "steps": 2},
-            "`steps` must be 1 where a key is varied; got 2.",
         ),
         (
             {"at": {"speed": 0.3}, "between": (-0.1, 0.1), "steps": 2},
@@ -208,3 +196,25 @@ def test_gaits_of_two_steps_are_those_of_single_solves(tmp_path):
     changed = {"walker": "D", "at": at, "axes": {}, "options": {"steps": 2}}
     archive = run(tmp_path, **changed)
     assert np.nanmax(archive.slope.values) == pytest.approx(slope, rel=1e-14)
+
+
+@pytest.mark.thorough
+def test_keys_of_gaits_of_two_steps_are_those_of_single_solves(tmp_path):
+    """In Python, by the command and in a study."""
+    asked = {"vary": "R", "between": (0.0, 0.1), "steps": 2}
+    target = {"speed": 0.125}
+
+    found = gaitsweep.gaits("D", 0.016, at=target, **asked)
+
+    (radius,) = found.R.values[np.isfinite(found.R.values)].tolist()
+    single = gaitsweep.solve("D", 0.016, at=target, **asked)
+    assert single["R"].tolist() == [radius]
+    there = gaitsweep.gaits("D", 0.016, R=radius, steps=2).sel(gait="long")
+    assert there.speed.item() == pytest.approx(0.125, rel=1e-12)
+    assert there.period.item() == pytest.approx(single["period"][0], rel=1e-12)
+
+    at = {**target, "vary": "R", "between": [0.0, 0.1]}
+    axes = {"slope": [0.016]}
+    changed = {"walker": "D", "at": at, "axes": axes, "options": {"steps": 2}}
+    archive = run(tmp_path, **changed)
+    assert np.nanmax(archive.R.values) == pytest.approx(radius, rel=1e-13)
