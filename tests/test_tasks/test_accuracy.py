@@ -77,12 +77,10 @@ def slopes(walker, **overrides):
     ends = np.concatenate(
         [b.q[[first, last]] for b in found for first, last in b.pieces()]
     )
-    near = ends[:, None] + 10.0 ** draw.uniform(-12, -1, (len(ends), 24)) * draw.choice(
-        [-1, 1], (len(ends), 24)
-    )
-    slope = np.exp(
-        np.concatenate([draw.uniform(np.log(1e-6), np.log(0.4), 300), near.ravel()])
-    )
+    shape = len(ends), 12
+    apart = 10.0 ** draw.uniform(-12, -1, shape) * draw.choice([-1, 1], shape)
+    everywhere = draw.uniform(np.log(1e-6), np.log(0.4), 150)
+    slope = np.exp(np.concatenate([everywhere, (ends[:, None] + apart).ravel()]))
     return np.unique(slope[slope < 0.45])
 
 
