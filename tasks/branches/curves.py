@@ -23,6 +23,7 @@ from gaitsweep.tasks.branches.root import OnCurve, bracketed_root, hermite
 from gaitsweep.tasks.branches.tracking import HALVED, keeps_apart
 from gaitsweep.tasks.mechanics.arrays import Coordinates, Gait, Numbers, PerLane
 from gaitsweep.tasks.mechanics.sums import norm, total
+from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import EPS
 from gaitsweep.tasks.step.simulate import STRUCK
 from gaitsweep.tasks.step.simulate import stride as simulate_step
@@ -84,24 +85,28 @@ def walks(equations: Equations, X: Gait) -> bool:
 
 
 class _Followed(engine.Tracks):
-    """One curve in progress in a window of its f last unknowns, whose edges are (f, 2).
+    """A curve in progress from one point in several directions (n,), side by side, in a
+    window of its f last unknowns, whose edges are (f, 2).
 
-    `end` is the last point that it has within the window, and the tangent there, both
-    (u, 1): that on the border. Where the curve begins on the border and leaves there is
-    none, both (u, 0).
+    `ends` are the last points that the directions have within the window, with the
+    tangents there, each (u, 1): those on the border. One that begins on the border and
+    leaves there has none, both (u, 0).
     """
 
     def __init__(
         self,
         equations: Equations,
         first: engine.Point,
-        direction: float,
+        directions: PerLane,
         edges: ndarray,
     ):
         self.equations, self.edges = equations, edges
-        tangent = first.direction * (np.sign(first.direction[-1, 0]) or 1.0) * direction
-        super().__init__(_CONTROL, first.Z, tangent, _FIRST_STEP)
-        self.end = self.Z[:, :0], self.tangent[:, :0]
+        upward = first.direction * (np.sign(first.direction[-1, 0]) or 1.0)
+        n = len(directions)
+        super().__init__(
+            _CONTROL, np.repeat(first.Z, n, axis=1), upward * directions, _FIRST_STEP
+        )
+        self.ends = [(self.Z[:, :0], self.tangent[:, :0])] * n
 
     def correct(
         self,
@@ -109,7 +114,8 @@ class _Followed(engine.Tracks):
         guess: Coordinates,
         border: Coordinates,
     ) -> engine.Point:
-        return correct_on_curve(self.equations, guess, border)
+        equations = self.equations.some(np.zeros(len(tracks), int))
+        return correct_on_curve(equations, guess, border)
 
     def judge(
         self,
@@ -120,8 +126,11 @@ class _Followed(engine.Tracks):
     ) -> tuple[ndarray, ndarray]:
         # A step beyond the window is taken if it shows where the curve crosses the
         # border; otherwise a shorter one is tried.
-        fair = not point.ok[0] or self._is_inside(point.Z) or self._finds_border(point)
-        return np.array([fair]), error / self.step
+        fair = ~point.ok | self._is_inside(point.Z)
+        for lane in np.flatnonzero(~fair).tolist():
+            beyond = lanes_of(point, [lane])
+            fair[lane] = self._finds_border(int(tracks[lane]), beyond)
+        return fair, error / self.step[tracks]
 
     def reasons(
         self,
@@ -129,70 +138,50 @@ class _Followed(engine.Tracks):
         point: engine.Point,
         last: Coordinates,
     ) -> ndarray:
-        if (point.Z[0] < _LEAST_LOG_ANGLE).any():
-            return np.array([VANISHING])
-        if not keeps_apart(last, point.Z, self.equations.problem).all():
-            return np.array([HALVED])
-        return np.array(["" if self._is_inside(point.Z) else BORDER])
+        reasons = np.where(self._is_inside(point.Z), "", BORDER).astype(object)
+        reasons[~keeps_apart(last, point.Z, self.equations.problem)] = HALVED
+        reasons[point.Z[0] < _LEAST_LOG_ANGLE] = VANISHING
+        return reasons
 
     def _nearest_within(self, Z: Coordinates) -> ndarray:
-        """The nearest values of the last unknowns within the window, (f, 1)."""
+        """The nearest values of the last unknowns within the window, (f, n)."""
         low = self.edges[:, :1]
         high = self.edges[:, 1:]
         return np.clip(Z[-len(self.edges) :], low, high)
 
-    def _is_inside(self, Z: Coordinates) -> bool:
-        return bool((self._nearest_within(Z) == Z[-len(self.edges) :]).all())
+    def _is_inside(self, Z: Coordinates) -> ndarray:
+        within = self._nearest_within(Z) == Z[-len(self.edges) :]
+        return np.asarray(within.all(axis=0))
 
-    def _finds_border(self, beyond: engine.Point) -> bool:
-        """Find the curve's point on the border, between its last point and one beyond
-        the window, as its `end`; and whether there is one.
+    def _finds_border(self, track: int, beyond: engine.Point) -> bool:
+        """Find a track's point on the border, between its last point and one beyond the
+        window, as its end; and whether there is one.
         """
         f = len(self.edges)
+        last, last_tangent = self.Z[:, [track]], self.tangent[:, [track]]
         nearest = self._nearest_within(beyond.Z)
         out = np.flatnonzero(nearest != beyond.Z[-f:])
-        to_edges = (nearest - self.Z[-f:])[out, 0]
-        shares = to_edges / (beyond.Z - self.Z)[-f:][out, 0]
+        to_edges = (nearest - last[-f:])[out, 0]
+        shares = to_edges / (beyond.Z - last)[-f:][out, 0]
         # The edge that it crosses first.
         crossed = zip(shares.tolist(), (out - f).tolist(), strict=True)
         share, component = min(crossed)
         if share < _BEGINS_THERE:
             return True
 
-        tangent = beyond.oriented(self.tangent).direction
-        length = norm(beyond.Z - self.Z)
-        guess = hermite((self.Z, self.tangent), (beyond.Z, tangent), length, share)
+        tangent = beyond.oriented(last_tangent).direction
+        length = norm(beyond.Z - last)
+        guess = hermite((last, last_tangent), (beyond.Z, tangent), length, share)
         guess[component] = nearest[component]
         border = np.eye(len(guess))[:, [component]]
         found = correct_on_curve(self.equations, guess, border)
         if found.ok[0]:
-            self.end = found.Z, found.oriented(self.tangent).direction
+            self.ends[track] = found.Z, found.oriented(last_tangent).direction
         return bool(found.ok[0])
 
 
-def follow(
-    equations: Equations,
-    first: engine.Point,
-    direction: float,
-    window: ndarray,
-) -> Track:
-    """Follow a curve from a point on it up to the window's border, or until it closes.
-
-    Parameters
-    ----------
-    equations : Equations
-        One fewer than unknowns.
-    first : Point
-        Where it begins.
-    direction : float
-        1 towards increasing values of the last unknown, -1 towards decreasing ones.
-    window : ndarray, shape (f, 2)
-        Least and largest value of each of the f last unknowns, those beside state and
-        event times, as X counts them.
-    """
-    tracks = _Followed(equations, first, direction, window)
-    (track,) = tracks.follow(_MAX_POINTS)
-
+def _ended(track: Track, end: OnCurve) -> Track:
+    """A track up to the border, or once round."""
     if track.stop_reason == CLOSED:  # at its start, beyond which the last point lies
         track.Z[:, -1] = track.Z[:, 0]
         track.tangent[:, -1] = track.tangent[:, 0]
@@ -201,7 +190,7 @@ def follow(
         return track
 
     # The last point lies beyond the window: that on the border takes its place.
-    X, tangent = tracks.end
+    X, tangent = end
 
     return Track(
         np.hstack([track.Z[:, :-1], X]),
@@ -215,12 +204,18 @@ def follow_both_directions(
     first: engine.Point,
     window: ndarray,
 ) -> tuple[ndarray, ndarray, tuple[str, str]]:
-    """Follow a curve from a point on it in both directions, or once round.
+    """Follow a curve from a point on it in both directions, side by side, up to the
+    window's border, or once round.
 
     Parameters
     ----------
-    equations, first, window
-        As for `follow`.
+    equations : Equations
+        One fewer than unknowns.
+    first : Point
+        Where it begins.
+    window : ndarray, shape (f, 2)
+        Least and largest value of each of the f last unknowns, those beside state and
+        event times, as X counts them.
 
     Returns
     -------
@@ -229,10 +224,10 @@ def follow_both_directions(
     stopped : tuple of str
         Why it was followed no further at the first and at the last.
     """
-    up = follow(equations, first, 1.0, window)
+    tracks = _Followed(equations, first, np.array([1.0, -1.0]), window)
+    up, down = map(_ended, tracks.follow(_MAX_POINTS), tracks.ends)
     if up.stop_reason == CLOSED:
         return up.Z.T, up.tangent.T, (CLOSED, CLOSED)
-    down = follow(equations, first, -1.0, window)
     X, tangent = joined(down, up)
     return X.T, tangent.T, (down.stop_reason, up.stop_reason)
 

@@ -151,7 +151,7 @@ def followed(
         The condition's name in tables.
     first : Point
     window : ndarray
-        As for `branches.curves.follow`.
+        As for `branches.curves.follow_both_directions`.
     others : mapping
         Conditions that it may meet, by their names; its own is passed over.
     """

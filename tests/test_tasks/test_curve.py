@@ -13,7 +13,6 @@ from gaitsweep.tasks.branches import curves
 from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.curves import (
     at_value,
-    follow,
     follow_both_directions,
     turning,
     walks,
@@ -72,10 +71,10 @@ def pairs(points, tangents):
 def test_branches_re_pair_where_the_curve_of_folds_turns(monkeypatch):
     folds = folds_of_c()
     first = corrected(folds, FOLD, np.eye(7)[DETUNING])
-    track = follow(folds, first, -1.0, WINDOW)
+    points, tangents, _ = follow_both_directions(folds, first, WINDOW)
     both = [
         (a, b)
-        for a, b in pairs(track.Z.T, track.tangent.T)
+        for a, b in pairs(points, tangents)
         if turning(folds, a, b, DETUNING) is not None
     ]
     assert len(both) == 1
@@ -457,18 +456,21 @@ class Plane(Equations):
     size = 3
 
     def __init__(self, equation):
-        self.equation, self.problem = equation, SimpleNamespace(m=0, phases=1)
+        self.equation, self.problem = equation, SimpleNamespace(m=0, phases=1, steps=1)
 
     def some(self, lanes):
         return self
 
     def at(self, X, difference=None, samples=0):
-        time, q, key = X[:, 0]
-        value, by_X = self.equation(q, key)
-        # The event time is zero.
-        derivative = np.array([[1.0, 0.0, 0.0], [0.0, *by_X]])
-        no_gait = np.zeros((0, 1))
-        return System(X, np.array([[time], [value]]), derivative[..., None], no_gait)
+        residual, derivative = [], []
+        for time, q, key in X.T:
+            value, by_X = self.equation(q, key)
+            # The event time is zero.
+            residual.append([time, value])
+            derivative.append([[1.0, 0.0, 0.0], [0.0, *by_X]])
+        no_gait = np.zeros((0, X.shape[1]))
+        by_lane = np.moveaxis(np.array(derivative), 0, -1)
+        return System(X, np.array(residual).T, by_lane, no_gait)
 
     def through(self, q, key):
         return corrected(self, np.array([0.0, q, key]), np.array([0.0, 0.0, 1.0]))
@@ -617,7 +619,8 @@ def test_a_step_beyond_the_window_from_which_the_border_is_not_found_is_shortene
     np.testing.assert_allclose(shy[0][[0, -1]], plain[0][[0, -1]], atol=1e-12)
     # Where no step finds it, that is said.
     refused_across_axes(monkeypatch, -1.0)
-    assert follow(Plane(wave), first, 1.0, window).stop_reason == "no further point"
+    *_, stopped = follow_both_directions(Plane(wave), first, window)
+    assert stopped[1] == "no further point"
 
 
 @pytest.mark.parametrize("side", [0, 1])
