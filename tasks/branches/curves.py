@@ -128,7 +128,7 @@ class _Followed(engine.Tracks):
         # border; otherwise a shorter one is tried.
         fair = ~point.ok | self._is_inside(point.Z)
         for lane in np.flatnonzero(~fair).tolist():
-            beyond = lanes_of(point, [lane])
+            beyond = lanes_of(point, slice(lane, lane + 1))
             fair[lane] = self._finds_border(int(tracks[lane]), beyond)
         return fair, error / self.step[tracks]
 
@@ -157,27 +157,33 @@ class _Followed(engine.Tracks):
         """Find a track's point on the border, between its last point and one beyond the
         window, as its end; and whether there is one.
         """
-        f = len(self.edges)
-        last, last_tangent = self.Z[:, [track]], self.tangent[:, [track]]
-        nearest = self._nearest_within(beyond.Z)
-        out = np.flatnonzero(nearest != beyond.Z[-f:])
-        to_edges = (nearest - last[-f:])[out, 0]
-        shares = to_edges / (beyond.Z - last)[-f:][out, 0]
-        # The edge that it crosses first.
-        crossed = zip(shares.tolist(), (out - f).tolist(), strict=True)
-        share, component = min(crossed)
+        last, tangent = self.Z[:, [track]], self.tangent[:, [track]]
+        share, component, value = self._crossing(last, beyond.Z)
         if share < _BEGINS_THERE:
             return True
 
-        tangent = beyond.oriented(last_tangent).direction
+        after = beyond.oriented(tangent).direction
         length = norm(beyond.Z - last)
-        guess = hermite((last, last_tangent), (beyond.Z, tangent), length, share)
-        guess[component] = nearest[component]
+        guess = hermite((last, tangent), (beyond.Z, after), length, share)
+        guess[component] = value
         border = np.eye(len(guess))[:, [component]]
         found = correct_on_curve(self.equations, guess, border)
         if found.ok[0]:
-            self.ends[track] = found.Z, found.oriented(last_tangent).direction
+            self.ends[track] = found.Z, found.oriented(tangent).direction
         return bool(found.ok[0])
+
+    def _crossing(
+        self, last: Coordinates, beyond: Coordinates
+    ) -> tuple[float, int, float]:
+        """The edge that the chord from a point (u, 1) to one beyond the window crosses
+        first: at which share of it, which component, from the last, and its value there.
+        """
+        f = len(self.edges)
+        nearest = self._nearest_within(beyond)
+        out = np.flatnonzero(nearest != beyond[-f:])
+        shares = (nearest - last[-f:])[out, 0] / (beyond - last)[-f:][out, 0]
+        share, component = min(zip(shares.tolist(), (out - f).tolist(), strict=True))
+        return share, component, float(nearest[component, 0])
 
 
 def _ended(track: Track, end: OnCurve) -> Track:
