@@ -779,6 +779,7 @@ def _compute(plans: list[Plan]) -> None:
 def _points(plan: Plan, chunk: Chunk) -> Points:
     """Points of a chunk that was computed; of one whose atlas failed, why."""
     store, graph = plan.store, plan.graph
+    assert isinstance(store, Memory)
     key = graph.chunk_key(chunk)
     if key not in store:
         atlas = plan.outcome_of_line(chunk.line)
@@ -789,7 +790,7 @@ def _points(plan: Plan, chunk: Chunk) -> Points:
     points = store.points(key, graph.variables)
     if graph.method is not Method.ALONE:
         # They are cheaper to compute again than to keep.
-        _remembered().drop(key)
+        store.drop(key)
 
     return points
 

@@ -269,7 +269,7 @@ def _knee_acceleration(at: Evaluation) -> ndarray:
     links = [0, 0, 1, 2]
     q, rate = start[:3][links] * scale, start[3:][links] * scale
 
-    bending = np.empty(len(scale))
+    bending = np.full(len(scale), np.nan)
     n = len(at.q)
     for numbers, problem, _ in at.problem.at_slopes(np.exp(at.q)):
         chain = Chain(problem.every_walker)

@@ -41,8 +41,10 @@ _AT_POLE = 10.0
 #: Share of the rise along a bracket that the first distance from the root spans, in
 #: errors of the coefficient there; and by how much it grows until signs are certain.
 _FIRST, _GROWTH = 2.0, 2.0
-#: Shares of the way to a point without a certain sign that are looked at.
+#: Shares of the way to a point without a certain sign that are looked at; and of that
+#: to a place at which no point is found, within a bracket.
 _TOWARDS = 0.25, 0.5, 0.75, 0.875, 0.9375
+_TOWARDS_LOST = 1 - 0.5 ** np.arange(1, 13)
 
 
 class Bounded(NamedTuple):
@@ -118,7 +120,8 @@ def degeneracies(
     of the curve these are some where the coefficient is nearest to zero without a change
     of sign, and some towards points at which it is not certain, as resonances at which a
     curve ends. At a pole, as beside a fold-flip or a resonance 1:3, the sign changes as
-    well: there the coefficient does not become as small as its error.
+    well: there the coefficient does not become as small as its error. A place at which
+    the search finds no point says neither: what the coefficient does beside it does.
     """
     (own,) = equations.conditions
     if own.name not in _NAMES:
@@ -135,10 +138,8 @@ def degeneracies(
 
     for a, b in itertools.pairwise(_certain(samples)):
         if a.sign != b.sign:
-            bracket = _Bracket(curve, a, b)
-            if bracket.holds_root:
-                segment = int(bracket.root.place)
-                yield Degeneracy(_NAMES[own.name], *bracket.located, segment)
+            for place, X, error in _between(curve, a, b):
+                yield Degeneracy(_NAMES[own.name], X, error, int(place))
 
 
 @dataclass(frozen=True)
@@ -154,6 +155,11 @@ class _Sample:
     def size(self) -> float:
         """Absolute value of the coefficient."""
         return abs(self.form.coefficient)
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether no point was found there, or none that has a coefficient."""
+        return bool(np.isnan(self.form.coefficient))
 
     @property
     def sign(self) -> float:
@@ -220,6 +226,36 @@ class _Curve:
         return own.is_genuine is None or bool(own.is_genuine(multipliers))
 
 
+def _between(
+    curve: _Curve, a: _Sample, b: _Sample
+) -> Iterator[tuple[float, Gait, ndarray]]:
+    """Where the coefficient vanishes between two samples of which the sign changes: the
+    place, the point, and bounds on the errors of its last two unknowns.
+    """
+    bracket = _Bracket(curve, a, b)
+    if bracket.holds_root:
+        yield bracket.root.place, *bracket.located
+        return
+
+    lost = bracket.root
+    if not lost.is_lost:
+        return
+
+    beside = [
+        curve.at(end.place + share * (lost.place - end.place))
+        for end in (a, b)
+        for share in _TOWARDS_LOST.tolist()
+    ]
+    for c, d in itertools.pairwise(_certain([a, *beside, b])):
+        if c.sign == d.sign:
+            continue
+        if not c.place < lost.place < d.place:
+            yield from _between(curve, c, d)
+        elif max(c.size, d.size) < min(a.size, b.size):
+            # On both sides it falls towards zero, which lies between the two.
+            yield lost.place, (c.X + d.X) / 2, np.abs(d.X - c.X)[-2:] / 2 + 8 * EPS
+
+
 @dataclass(frozen=True)
 class _Bracket:
     """Part of a curve between two samples of which the sign changes."""
@@ -230,7 +266,9 @@ class _Bracket:
 
     @cached_property
     def root(self) -> _Sample:
-        """Where the sign is not certain, or the search ends at a pole."""
+        """Where the sign is not certain, or the search ends: at a pole, or where no point
+        is found.
+        """
         largest = max(self.a.size, self.b.size)
         found = {each.place: each for each in (self.a, self.b)}
 
@@ -238,8 +276,9 @@ class _Bracket:
             if place not in found:
                 found[place] = self.curve.at(place)
             sample = found[place]
-            is_pole = not sample.size < _AT_POLE * largest
-            return 0.0 if is_pole or not sample.sign else sample.form.coefficient
+            is_pole = sample.size >= _AT_POLE * largest
+            ends = is_pole or sample.is_lost or not sample.sign
+            return 0.0 if ends else sample.form.coefficient
 
         return found[bracketed_root(value, self.a.place, self.b.place)]
 
@@ -257,7 +296,8 @@ class _Bracket:
         nearest points lie at which the sign is certain.
         """
         rise = (self.a.size + self.b.size) / (self.b.place - self.a.place)
-        apart = _FIRST * self.root.form.error / rise
+        rounding = 8 * EPS * max(1.0, self.root.place)
+        apart = max(_FIRST * self.root.form.error / rise, rounding)
         beside = [self._certain(-apart, self.a), self._certain(apart, self.b)]
 
         X = self.root.X

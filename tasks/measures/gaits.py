@@ -365,7 +365,7 @@ def _described_by_drive(
     make: side by side, or each by itself where that cannot be.
     """
     groups = {VARIABLES[name].group for name in want}
-    if problem.steps == 1 and "violations" not in groups:
+    if "violations" not in groups:
         lanes, slope = problem.lanes_at(drive)
         return describe(lanes, at, slope, want, limits)
 

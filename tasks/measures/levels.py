@@ -108,7 +108,7 @@ def _measures_by_drive(names: Sequence[str], at: Evaluation) -> Arrays:
     """Measure gaits as `measures_at` does, of the walkers that values of what drives
     make.
     """
-    found = {name: np.empty(len(at.q)) for name in names}
+    found = {name: np.full(len(at.q), np.nan) for name in names}
     for lanes, driven, slope in at.problem.at_slopes(np.exp(at.q)):
         Z = np.vstack([at.w[:, lanes], np.log(slope)])
         there = Evaluation(Z, lanes_of(at.stride, lanes), driven)

@@ -95,13 +95,14 @@ class Problem:
         self, drive: np.ndarray
     ) -> Iterator[tuple[np.ndarray, Problem, np.ndarray]]:
         """Yield the problems over slopes of the walkers that values of the drive make:
-        which of the values (n,) each is of, and their slopes as it counts them.
+        which of the values (n,) each is of, and their slopes as it counts them. Values
+        that are not finite make none.
         """
         if self.drive.key == SLOPE:
             yield np.arange(len(drive)), self, drive
             return
 
-        for value in np.unique(drive).tolist():
+        for value in np.unique(drive[np.isfinite(drive)]).tolist():
             numbers = np.flatnonzero(drive == value)
             over, counted = over_slopes(float(self.slopes(drive[numbers[:1]])[0]))
             walker = self.driven_by(value)

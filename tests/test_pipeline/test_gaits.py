@@ -445,6 +445,22 @@ def asked(monkeypatch):
     return names
 
 
+def test_points_are_dropped_from_the_memory_in_which_they_were_kept(monkeypatch):
+    """Which one answers was asked anew for every chunk."""
+    forget(monkeypatch)
+    compute = in_memory._compute
+
+    def compute_and_forget(plans):
+        compute(plans)
+        forget(monkeypatch)
+
+    monkeypatch.setattr(in_memory, "_compute", compute_and_forget)
+    slopes = np.linspace(0.01, 0.02, 3000)
+    found = gaitsweep.gaits("E", slopes, variables=["period"])
+
+    assert found.period.sel(gait="long").notnull().all()
+
+
 def test_points_that_were_seen_are_not_solved_again(asked):
     """What makes a slider over keys fast: 3 ms for 200 slopes."""
     radii = [[0.1], [0.2]]

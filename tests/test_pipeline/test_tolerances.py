@@ -31,6 +31,7 @@ def _study(tolerances, **others):
     ("tolerances", "others", "error"),
     [
         ({"w_x": 1e-3}, {}, "Unknown key `w_x`, did you mean `w_"),
+        ({"detuning": 0.1}, {}, "Unknown key `detuning`, known: slope, l_t, w_t"),
         ({"w_t": -1e-3}, {}, "`w_t` must be a number above 0, or a percentage"),
         ({"w_t": 0}, {}, "`w_t` must be a number above 0"),
         ({"w_t": "1 mm"}, {}, "or a percentage, as \"1%\"; got '1 mm'"),

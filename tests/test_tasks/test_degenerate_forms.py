@@ -5,8 +5,10 @@ from super- to subcritical, against gaits of two steps and differences in 113 bi
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.branches import degenerate_forms
 from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.curves import across_last
+from gaitsweep.tasks.branches.degenerate_forms import Bounded, degeneracies
 from gaitsweep.tasks.branches.equations import (
     Equations,
     Keys,
@@ -15,7 +17,7 @@ from gaitsweep.tasks.branches.equations import (
     solve,
 )
 from gaitsweep.tasks.branches.meetings import followed
-from gaitsweep.tasks.branches.normal_forms import normal_form
+from gaitsweep.tasks.branches.normal_forms import NormalForm, normal_form
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.studies.follow_curves import curve
 from gaitsweep.tasks.walkers.resolve import resolve
@@ -167,3 +169,91 @@ def test_over_two_keys_at_its_slope_lies_the_same_generalised_flip():
     (k,) = np.flatnonzero(other["meetings/point"] == "generalised flip")
     assert other["meetings/slope"][k] == pytest.approx(0.165, rel=1e-6)
     assert other["meetings/value"][k] == pytest.approx(ratio, rel=1e-6)
+
+
+ROOT, GAP = 0.4703, 1e-5
+NOWHERE = np.inf, np.inf
+LOST = ROOT - GAP, ROOT + 2 * GAP
+
+
+@pytest.fixture(scope="module")
+def between(flips):
+    """Two points of the curve of flips on either side of the generalised one, and the
+    directions there.
+    """
+    ends = flips.points[[0, -1]]
+    chord = ends[1] - ends[0]
+    tangent = chord / np.linalg.norm(chord)
+    return flips.equations, ends, np.tile(tangent, (2, 1))
+
+
+def vanishing_between(between, monkeypatch, coefficient, error=1e-9, lost=NOWHERE):
+    """Where a coefficient that depends on the key alone vanishes, and the bound; there
+    are no points in part of the range.
+    """
+    equations, ends, tangents = between
+    (scale,) = equations.keys.scale
+
+    def bounded(_, X):
+        key = X[-1] * scale
+        if lost[0] < key < lost[1]:
+            return degenerate_forms.UNKNOWN
+        form = NormalForm(coefficient(key), error)
+        return Bounded(1e-15, form)
+
+    monkeypatch.setattr(degenerate_forms, "bounded", bounded)
+    known = [bounded(equations, X) for X in ends]
+    found = degeneracies(equations, ends, tangents, known)
+    return [(each.X[-1] * scale, each.error[-1] * scale) for each in found]
+
+
+@pytest.mark.parametrize("lost", [NOWHERE, LOST])
+def test_a_root_where_points_are_lost_lies_within_its_bound(between, monkeypatch, lost):
+    """A corrector that fails is no pole."""
+
+    def passing(key):
+        return float(key - ROOT)
+
+    ((key, bound),) = vanishing_between(between, monkeypatch, passing, lost=lost)
+
+    assert abs(key - ROOT) <= bound < 1e-4
+
+
+@pytest.mark.parametrize("lost", [NOWHERE, LOST])
+def test_a_pole_where_points_are_lost_is_no_root(between, monkeypatch, lost):
+    def pole(key):
+        return float(1 / (key - ROOT))
+
+    assert not vanishing_between(between, monkeypatch, pole, lost=lost)
+
+
+def test_a_root_is_found_beside_a_place_where_points_are_lost(between, monkeypatch):
+    root = 0.468
+    where_first_sought = 0.4695, 0.472
+
+    def passing(key):
+        return float(key - root)
+
+    ((key, bound),) = vanishing_between(
+        between,
+        monkeypatch,
+        passing,
+        lost=where_first_sought,
+    )
+
+    assert abs(key - root) <= bound < 1e-8
+
+
+@pytest.mark.timeout(60)
+def test_a_coefficient_that_is_zero_without_an_error_is_located(between, monkeypatch):
+    """The distance to points of certain sign, in errors of the coefficient, was 0, and
+    the search for them had no end.
+    """
+
+    def flat(key):
+        off = float(key - ROOT)
+        return off if abs(off) > 1e-7 else 0.0
+
+    ((key, bound),) = vanishing_between(between, monkeypatch, flat, error=0.0)
+
+    assert abs(key - ROOT) <= bound < 1e-5
