@@ -13,9 +13,9 @@ from numpy import ndarray
 
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.joint import but_times
-from gaitsweep.tasks.branches.locate import sampled_steps
 from gaitsweep.tasks.branches.lockstep import Call, Procedure
 from gaitsweep.tasks.branches.pseudo_arclength import Point
+from gaitsweep.tasks.branches.segment import sampled_steps
 from gaitsweep.tasks.branches.tracking import (
     MAX_CROSSING_STEP,
     ONE_STEP,
