@@ -153,7 +153,7 @@ def _mapped(problem: Problem, Z: np.ndarray, times: np.ndarray):
     single = problem.of_steps(1)
     for _ in range(2):  # each step's times are corrected for its own Jacobian
         steps = single.map(
-            Y / scale, times, single.parameters(slope, scale), slope=True
+            Y / scale, times, single.parameters(slope, scale), by_drive=True
         )
         times = steps.times
     derivative = np.zeros((n, m, n * m + 1))

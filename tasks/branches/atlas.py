@@ -26,14 +26,6 @@ from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.ends import BranchEnd, locate_end
 from gaitsweep.tasks.branches.flips import begun_at_flips
 from gaitsweep.tasks.branches.joint import Evaluation, evaluate
-from gaitsweep.tasks.branches.locate import (
-    correct_at,
-    is_step,
-    locate_root,
-    narrow_segment,
-    sharpened_fold,
-    value_of,
-)
 from gaitsweep.tasks.branches.lockstep import Call, Procedure, side_by_side
 from gaitsweep.tasks.branches.pseudo_arclength import CLOSED, Point, Track, joined
 from gaitsweep.tasks.branches.refine import (
@@ -42,6 +34,14 @@ from gaitsweep.tasks.branches.refine import (
     locate_gaps,
     measure,
     without_jumps,
+)
+from gaitsweep.tasks.branches.segment import (
+    correct_at,
+    is_step,
+    locate_root,
+    narrow_segment,
+    sharpened_fold,
+    value_of,
 )
 from gaitsweep.tasks.branches.tracking import MIN_SLOPE, check_steps, follow
 from gaitsweep.tasks.contract.kinds import kind_of

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy import ndarray
@@ -37,6 +38,17 @@ LOST = (NO_FURTHER, TOO_MANY, NOT_A_STEP)
 FOLD = "fold"
 #: Weight of the event times as coordinates of segments, relative to other coordinates.
 _WORTH_OF_TIMES = 0.02
+
+
+_Value = TypeVar("_Value")
+
+
+def _with_end(
+    ends: tuple[_Value, _Value], side: int, value: _Value
+) -> tuple[_Value, _Value]:
+    """What is known of both ends, with another value on one side: 0 or 1."""
+    low, high = ends
+    return (value, high) if side == 0 else (low, value)
 
 
 def _divided_differences(x: ndarray, values: ndarray, slope: ndarray) -> ndarray:
@@ -214,32 +226,32 @@ class Branch:
         nodes : ndarray of int, shape (k,)
             Rising.
         """
-        (low, high), (low_error, high_error) = self.why, self.end_errors
-        if nodes[0] != 0:
-            low, low_error = NO_FURTHER, 0.0
-        if nodes[-1] != len(self.q) - 1:
-            high, high_error = NO_FURTHER, 0.0
+        why = self.why
+        errors = self.end_errors
+        last = len(self.q) - 1
+        for side, is_cut in enumerate((nodes[0] != 0, nodes[-1] != last)):
+            if is_cut:
+                why = _with_end(why, side, NO_FURTHER)
+                errors = _with_end(errors, side, 0.0)
+
         Z = self.Z[:, nodes]
         tangent = self.tangent[:, nodes]
-        return self._of_nodes(Z, tangent, (low, high), (low_error, high_error))
+        return self._of_nodes(Z, tangent, why, errors)
 
     def ending(self, side: int, kind: str, error: float = 0.0) -> Branch:
         """Branch with another kind of end, and error of its ln slope, on one side: 0 or
         1.
         """
-        (low, high), (low_error, high_error) = self.why, self.end_errors
-        if side == 0:
-            low, low_error = kind, error
-        else:
-            high, high_error = kind, error
-        return replace(self, why=(low, high), end_errors=(low_error, high_error))
+        why = _with_end(self.why, side, kind)
+        errors = _with_end(self.end_errors, side, error)
+        return replace(self, why=why, end_errors=errors)
 
     def lost(self) -> list[float]:
         """Return the slopes of ends at which the branch could be continued no further
         [rad].
         """
-        slopes = np.exp(self.q[[0, -1]]).tolist()
-        ends = zip(slopes, self.why, strict=True)
+        slopes = np.exp(self.q[[0, -1]])
+        ends = zip(slopes.tolist(), self.why, strict=True)
         return [slope for slope, why in ends if why in LOST]
 
     def part_of(self, gait: Gait, cuts: ndarray) -> Branch:
@@ -259,7 +271,8 @@ class Branch:
             # Not the number of nodes: a short part that bends has many.
             has_gait = np.isin(self._places(gait), nodes).any()
             is_enough = len(nodes) >= MIN_NODES
-            return bool(has_gait and is_enough), float(apart[nodes[:-1]].sum())
+            length = apart[nodes[:-1]].sum()
+            return bool(has_gait and is_enough), float(length)
 
         parts = np.split(np.arange(len(self.q)), cuts + 1)
         return self.part(max(parts, key=worth))
@@ -332,7 +345,8 @@ class Branch:
         length = norm(chord)
         along = total((Z - a) * chord) / length**2
         is_between = (along > 0) & (along < 1)
-        return is_between & (norm(Z - a - along * chord) < 0.5 * length)
+        off = norm(Z - a - along * chord)
+        return is_between & (off < 0.5 * length)
 
     def place_of(self, segment: Numbers, Z: Coordinates) -> ndarray:
         """Return where points lie along the chords of segments: their numbers plus the
@@ -347,9 +361,11 @@ class Branch:
         -------
         ndarray, shape (k,)
         """
-        chord = self.Z[:, segment + 1] - self.Z[:, segment]
-        along = total((Z - self.Z[:, segment]) * chord)
-        return np.asarray(segment + along / total(chord**2))
+        a = self.Z[:, segment]
+        chord = self.Z[:, segment + 1] - a
+        along = total((Z - a) * chord)
+        share = along / total(chord**2)
+        return np.asarray(segment + share)
 
     def evaluate(self, segment: Numbers, x: ndarray) -> ndarray:
         """Evaluate the segments' polynomials.
@@ -418,8 +434,10 @@ class Branch:
         change = np.diff(self.q)
         rate = self.tangent[-1]
         is_rounding = np.abs(change) < 1e-13
-        rising = np.sign(np.where(is_rounding, rate[:-1] + rate[1:], change))
-        nodes: list[int] = (np.flatnonzero(np.diff(rising)) + 1).tolist()
+        mean_rate = rate[:-1] + rate[1:]
+        rising = np.sign(np.where(is_rounding, mean_rate, change))
+        segments = np.flatnonzero(np.diff(rising))
+        nodes: list[int] = (segments + 1).tolist()
         return nodes
 
     def pieces(self) -> list[tuple[int, int]]:
@@ -459,7 +477,8 @@ class Branch:
             Infinite without a fold.
         """
         folds = self.q[self.folds()]
-        nearest = np.abs(self.q[:, None] - folds).min(axis=1, initial=np.inf)
+        apart = np.abs(self.q[:, None] - folds)
+        nearest = apart.min(axis=1, initial=np.inf)
         return np.minimum(nearest[1:], nearest[:-1])
 
     def piece(self, segment: Numbers) -> ndarray:
@@ -478,7 +497,8 @@ class Branch:
         firsts = [first for first, _ in self.pieces()]
         number = np.searchsorted(firsts, segment, side="right") - 1
         # How far beyond the window a branch was followed is arbitrary.
-        first, last = np.clip(self.q[[0, -1]], np.log(MIN_SLOPE), np.log(MAX_SLOPE))
+        window = np.log(MIN_SLOPE), np.log(MAX_SLOPE)
+        first, last = np.clip(self.q[[0, -1]], *window)
         angle, last_angle = self.Z[0, [0, -1]]
         if (first, angle) <= (last, last_angle):
             return number
@@ -502,10 +522,12 @@ class Branch:
         segment : ndarray of int, shape (n,)
         slope : ndarray, shape (n,) [rad]
         """
+        after = segment + 1
         left = self.gradient.take(segment, axis=-1)
-        right = self.gradient.take(segment + 1, axis=-1)
-        steep = np.maximum(self.lipschitz[segment], self.lipschitz[segment + 1])
-        leg_passes = self.leg_passes[segment]
+        right = self.gradient.take(after, axis=-1)
+        steep = np.maximum(self.lipschitz[segment], self.lipschitz[after])
+        is_safe = self.safe[segment]
+        leg_passes = np.where(is_safe, self.leg_passes[segment], UNKNOWN)
 
         # On branches of several steps, of which any may be the first, nothing is
         # measured.
@@ -515,7 +537,7 @@ class Branch:
             lipschitz=steep,
             gradient=(left + right) / 2,
             rounding_std=self.rounding_std[:, segment],
-            leg_passes=np.where(self.safe[segment], leg_passes, UNKNOWN),
+            leg_passes=leg_passes,
         )
 
     def guesses(self, q: LogSlopes) -> list[tuple[ndarray, ndarray, ndarray]]:
@@ -555,8 +577,9 @@ class Branch:
         ndarray of int, shape (k,)
             Indices into q.
         """
-        ends = self.q[[first, last]]
-        return np.flatnonzero((q >= ends.min()) & (q <= ends.max()))
+        low, high = np.sort(self.q[[first, last]])
+        is_inside = (q >= low) & (q <= high)
+        return np.flatnonzero(is_inside)
 
     def on_piece(self, first: int, last: int, q: LogSlopes) -> tuple[ndarray, ndarray]:
         """Evaluate the piece between two nodes at slopes that it covers.
@@ -579,5 +602,9 @@ class Branch:
         ordered = nodes if rising else nodes[::-1]
         k = np.searchsorted(ordered, q, side="right") - 1
         k = np.clip(k, 0, last_segment)
-        segment = first + (k if rising else last_segment - k)
-        return self.evaluate(segment, self._coordinate_at(segment, q)), segment
+        if not rising:
+            k = last_segment - k
+
+        segment = first + k
+        x = self._coordinate_at(segment, q)
+        return self.evaluate(segment, x), segment

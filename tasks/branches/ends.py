@@ -11,7 +11,9 @@ import numpy as np
 
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.conditions import CONDITIONS
-from gaitsweep.tasks.branches.locate import (
+from gaitsweep.tasks.branches.lockstep import Call, Procedure
+from gaitsweep.tasks.branches.pseudo_arclength import Point
+from gaitsweep.tasks.branches.segment import (
     correct_at,
     is_step,
     locate_root,
@@ -19,8 +21,6 @@ from gaitsweep.tasks.branches.locate import (
     search_segment,
     value_of,
 )
-from gaitsweep.tasks.branches.lockstep import Call, Procedure
-from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.branches.tracking import check_steps, correct
 from gaitsweep.tasks.gaits.step_check import verified
 from gaitsweep.tasks.step.step_map import SAMPLES

@@ -719,5 +719,5 @@ def _in_units_and_varied(problem: Problem, Z: Coordinates) -> Evaluation:
     parameters[2:, -n_varied:] *= 1 + changes
     sections = np.hstack([in_units, as_they_are]) / units
     times = points[problem.m : -1]
-    stride = problem.map(sections, times, parameters, slope=True)
+    stride = problem.map(sections, times, parameters, by_drive=True)
     return Evaluation(points, stride, problem)

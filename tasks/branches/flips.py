@@ -119,10 +119,11 @@ def _along_doubled(flip: Evaluation, Z: Gait) -> ndarray:
     critical = np.argmin(np.abs(values + 1))
     v = np.real(vectors[:, [critical]])
 
-    steps, half = flip.stride.singles, []
+    jacobians = flip.stride.singles.jacobian
+    half = []
     for i in range(flip.problem.steps):
         half.append(v)
-        v = matvec(steps.jacobian[:, :, [i]], v)
+        v = matvec(jacobians[:, :, [i]], v)
 
     other_half = [-part for part in half]
     both_halves = np.concatenate([*half, *other_half])
@@ -144,7 +145,8 @@ def _twice(flip: Evaluation) -> ndarray:
     """A flip as gaits of twice as many steps, begun at each of its own: similarity
     coordinates (2 (m + k), steps).
     """
-    m, steps = flip.m, flip.problem.steps
+    m = flip.m
+    steps = flip.problem.steps
     y, durations = sections(flip.w, m, steps)
     y = np.tile(y, (2, 1, 1))
     durations = np.tile(durations, (2, 1, 1))
@@ -197,7 +199,8 @@ def _nearest_flip(
     """The flip nearest to a gait of twice as many steps, if one is near, and its gait
     begun at the step that is nearest.
     """
-    found, nearest = None, _NEAR
+    found = None
+    nearest = _NEAR
     for flip in flips:
         twice = _twice(flip)
         apart = np.abs(twice - w).max(axis=0)
@@ -215,14 +218,16 @@ def _away_from_flip(branch: Branch, flip: ndarray, w: Unknowns) -> ndarray:
     The halves leave it to opposite sides; all else changes by the square of the
     distance.
     """
-    m, half = branch.m, branch.steps // 2
+    m = branch.m
+    half = branch.steps // 2
     y, durations = sections(w, m, branch.steps)
-    y = y - np.roll(y, half, axis=0)
-    durations = durations - np.roll(durations, half, axis=0)
+    other_y = np.roll(y, half, axis=0)
+    other_durations = np.roll(durations, half, axis=0)
+    apart = (y - other_y).reshape(m, 1)
 
-    change = similarity(_relative(flip, m), y.reshape(m, 1))[:, 0]
-    times = np.cumsum(durations)
-    along = np.concatenate([change, times, [0.0]])
+    change = similarity(_relative(flip, m), apart)
+    times = np.cumsum(durations - other_durations)
+    along = np.concatenate([change[:, 0], times, [0.0]])
     return along / np.linalg.norm(along)
 
 

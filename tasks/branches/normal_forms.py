@@ -257,7 +257,7 @@ def _in_units(problem: Problem, Z: Gait, error: float) -> _Sections:
     drive = np.exp(moved[-1])
     times = moved[problem.m : -1]
     parameters = problem.parameters(drive, scale * units)
-    stride = problem.map(y / units, times, parameters, slope=True)
+    stride = problem.map(y / units, times, parameters, by_drive=True)
     return _Sections.of(Evaluation(moved, stride, problem))
 
 

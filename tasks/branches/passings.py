@@ -9,6 +9,7 @@ condition are solved.
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -62,8 +63,9 @@ class Nodes:
         surveyed: Sequence[Sequence[Branch]],
         conditions: Sequence[Condition],
     ):
-        self.branches = [branch for branches in surveyed for branch in branches]
-        lines = [i for i, branches in enumerate(surveyed) for _ in branches]
+        self.branches = list(itertools.chain(*surveyed))
+        counts = [len(branches) for branches in surveyed]
+        lines = np.repeat(np.arange(len(surveyed)), counts)
         lengths = [len(branch.q) for branch in self.branches]
         self.line = np.repeat(lines, lengths)
         self.branch = np.repeat(np.arange(len(lines)), lengths)
@@ -184,19 +186,28 @@ def _changing(nodes: Nodes, condition: Condition, of_stable_gaits: bool) -> ndar
     changes = joined & (signs[1:] != signs[:-1])
     changes &= finite[1:] & finite[:-1]
     if of_stable_gaits:
-        changes &= nodes.stable[1:] | nodes.stable[:-1]
+        stable = nodes.stable
+        changes &= stable[1:] | stable[:-1]
 
     if condition.kind.exchanges_stability:
         # Between nodes it may change twice: beside one where it comes near zero.
-        size = np.abs(values)
-        inner = size[1:-1]
-        least = (size[:-2] >= inner) & (inner <= size[2:])
+        least = _least_near_zero(np.abs(values))
         least &= joined[:-1] & joined[1:]
-        least &= inner < _NEAR_ZERO
         changes[:-1] |= least
         changes[1:] |= least
 
     return np.flatnonzero(changes)
+
+
+def _least_near_zero(size: ndarray) -> ndarray:
+    """Whether magnitudes (n,) are small and no larger than their neighbours, all but the
+    first and the last, shape (n - 2,).
+    """
+    before = size[:-2]
+    inner = size[1:-1]
+    after = size[2:]
+    is_least = (before >= inner) & (inner <= after)
+    return is_least & (inner < _NEAR_ZERO)
 
 
 @np.errstate(invalid="ignore", divide="ignore")
@@ -207,15 +218,18 @@ def _roots(values: ndarray) -> tuple[ndarray, ndarray]:
     Between values of one sign two roots are those of the parabola through three of
     them.
     """
-    row, left = np.nonzero(values[:, :-1] * values[:, 1:] <= 0)
+    products = values[:, :-1] * values[:, 1:]
+    row, left = np.nonzero(products <= 0)
     at_left = values[row, left]
     at_right = values[row, left + 1]
-    crossed = left + np.nan_to_num(at_left / (at_left - at_right))
+    share = at_left / (at_left - at_right)
+    crossed = left + np.nan_to_num(share)
 
     also, before, after = _parabolas(values)
     rows = np.concatenate([row, also, also])
     places = np.concatenate([crossed, before, after])
-    return rows, places / (values.shape[1] - 1)
+    parts = values.shape[1] - 1
+    return rows, places / parts
 
 
 def _parabolas(values: ndarray) -> tuple[ndarray, ndarray, ndarray]:
@@ -228,14 +242,17 @@ def _parabolas(values: ndarray) -> tuple[ndarray, ndarray, ndarray]:
     slope = 0.5 * (c - a)
     bend = 0.5 * (a + c) - b
     root = np.sqrt(slope**2 - 4 * bend * b)
+    before = (-root - slope) / (2 * bend)
+    after = (root - slope) / (2 * bend)
 
-    is_between = np.abs(slope) + root <= np.abs(2 * bend)
     is_one_sign = (a * b > 0) & (b * c > 0)
-    touches = is_one_sign & np.isfinite(root) & is_between & (bend != 0)
-    row, middle = np.nonzero(touches)
-    before = ((-root - slope) / (2 * bend))[touches]
-    after = ((root - slope) / (2 * bend))[touches]
-    return row, middle + 1 + before, middle + 1 + after
+    touches = is_one_sign & np.isfinite(root)
+    touches &= np.abs(slope) + root <= np.abs(2 * bend)
+    touches &= bend != 0
+
+    row, left = np.nonzero(touches)
+    middle = left + 1
+    return row, middle + before[touches], middle + after[touches]
 
 
 def locate(problem: Problem, nodes: Nodes, guesses: Guesses) -> Point:

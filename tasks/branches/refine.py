@@ -13,9 +13,9 @@ from numpy import ndarray
 
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.joint import but_times
-from gaitsweep.tasks.branches.locate import sampled_steps
 from gaitsweep.tasks.branches.lockstep import Call, Procedure
 from gaitsweep.tasks.branches.pseudo_arclength import Point
+from gaitsweep.tasks.branches.segment import sampled_steps
 from gaitsweep.tasks.branches.tracking import (
     MAX_CROSSING_STEP,
     ONE_STEP,
@@ -82,7 +82,6 @@ def _refine(
     moved_before = before[segments]
     split = ok & (moved_before > 0)
     split &= moved > _allowed(branch, segments, point, tolerance)
-
     improves = moved < _MIN_IMPROVEMENT * moved_before
     moved_from = np.where(improves, moved, 0.0)[split]
     after = segments[split] + 1
@@ -194,7 +193,7 @@ def locate_gaps(
     # with no extremum of its guard at either node to show it.
     between_steps = check.step[1:] & check.step[:-1]
     turns = np.flatnonzero(np.diff(check.hyperextends) & between_steps)
-    searched += [(i + 0.0, i + 1.0, _where_the_knee_turns) for i in turns]
+    searched += [(float(i), i + 1.0, _where_the_knee_turns) for i in turns]
 
     gaps: set[float] = set()
     for low, high, narrow in searched:
@@ -212,8 +211,10 @@ def _least_distances(branch: Branch, distance: ndarray, steps: ndarray) -> ndarr
     with np.errstate(invalid="ignore"):
         bend = distance[:-2] - 2 * distance[1:-1] + distance[2:]
         distance = np.where(steps, distance, np.nan)
+        before = distance[:-2]
         inner = distance[1:-1]
-        least = (inner <= distance[:-2]) & (inner <= distance[2:])
+        after = distance[2:]
+        least = (inner <= before) & (inner <= after)
         least &= ~(inner > bend)
 
     safe = branch.safe[:-2] & branch.safe[1:-1]
@@ -230,14 +231,19 @@ _Narrow = Callable[[AnyStride, ndarray, int], "tuple[int, int] | None"]
 def _beside_the_least(
     stride: AnyStride, fine: ndarray, k: int
 ) -> tuple[int, int] | None:
-    rise = max(fine[k - 1], fine[k + 1]) - fine[k]
-    return None if fine[k] > rise else (k - 1, k + 1)
+    before, least, after = fine[k - 1 : k + 2]
+    rise = max(before, after) - least
+    if least > rise:
+        return None
+    return k - 1, k + 1
 
 
 def _where_the_knee_turns(stride: AnyStride, fine: ndarray, k: int) -> tuple[int, int]:
-    each = stride.singles
-    free = each.motion[0]
-    against = hyperextends_at_release(free, each.times[0] / (len(free) - 1))
+    singles = stride.singles
+    free = singles.motion[0]
+    intervals = len(free) - 1
+    interval = singles.times[0] / intervals
+    against = hyperextends_at_release(free, interval)
     in_any_step = against.reshape(stride.steps, -1).any(axis=0)
     turn = int(np.diff(in_any_step).argmax())
     return turn, turn + 1
@@ -251,8 +257,9 @@ def _gap_between(
     """
     for _ in range(_MAX_ROUNDS):
         place = np.linspace(low, high, 9)
-        stride, fine = yield Call(sampled_steps, (branch.at(place),), _FINER)
-        k = int(np.argmin(fine[1:-1])) + 1
+        Z = branch.at(place)
+        stride, fine = yield Call(sampled_steps, (Z,), _FINER)
+        k = 1 + int(np.argmin(fine[1:-1]))
         if (yield from _is_interrupted(branch, place[k], fine[k])):
             return float(place[k])
 
@@ -272,7 +279,8 @@ def _is_interrupted(branch: Branch, place: float, distance: float) -> Procedure[
     """Whether a place, at a distance from an earlier strike, is no step."""
     if not distance < 0:
         return False
-    check = yield Call(check_steps, (branch.at(np.array([place])),))
+    Z = branch.at(np.array([place]))
+    check = yield Call(check_steps, (Z,))
     return not check.step[0]
 
 
@@ -290,9 +298,9 @@ def measure(branch: Branch, tolerance: float) -> Procedure[tuple[ndarray, StepCh
     if tolerance == FINE:
         measured = yield from _roughness(branch)
     else:
-        phases = len(branch.Z) - 1 - branch.m
-        measured = not_measured(branch.m, phases, len(branch.q), branch.steps)
-
+        unknowns, n = branch.Z.shape
+        phases = unknowns - 1 - branch.m
+        measured = not_measured(branch.m, phases, n, branch.steps)
     branch.lipschitz, branch.gradient, branch.rounding_std = measured
 
     stride, distance = yield Call(sampled_steps, (branch.Z,), _FINER)
@@ -301,11 +309,13 @@ def measure(branch: Branch, tolerance: float) -> Procedure[tuple[ndarray, StepCh
     motion = singles.scaled_motion()
     closing = singles.closing / singles.y[0]
     margin = _margins(motion, stride.steps)
-    check = verify(motion, closing, singles.times, margin).of_all(stride.steps)
+    of_single = verify(motion, closing, singles.times, margin)
+    check = of_single.of_all(stride.steps)
 
-    branch.leg_passes = check.leg_passes
+    passes = check.leg_passes
+    branch.leg_passes = passes
     clear = check.step & ~check.doubt
-    safe = check.leg_passes[1:] == check.leg_passes[:-1]
+    safe = passes[1:] == passes[:-1]
     safe &= clear[1:] & clear[:-1]
     branch.safe = np.append(safe, False)
     return distance, check
@@ -317,7 +327,8 @@ def _margins(motion: list[ndarray], steps: int) -> ndarray:
     """
     farthest = []
     for part in motion:
-        of_steps = part.reshape(*part.shape[:2], steps, -1)
+        samples, links, _ = part.shape
+        of_steps = part.reshape(samples, links, steps, -1)
         change = np.abs(np.diff(of_steps, axis=-1))
         farthest.append(change.max(axis=(0, 1)))
 

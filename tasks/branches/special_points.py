@@ -22,10 +22,10 @@ from gaitsweep.tasks.branches.conditions import (
 )
 from gaitsweep.tasks.branches.equations import slope_error
 from gaitsweep.tasks.branches.joint import Evaluation, evaluate
-from gaitsweep.tasks.branches.locate import locate_root
 from gaitsweep.tasks.branches.lockstep import side_by_side
 from gaitsweep.tasks.branches.passings import Nodes, guess_passings, locate
 from gaitsweep.tasks.branches.pseudo_arclength import Point
+from gaitsweep.tasks.branches.segment import locate_root
 from gaitsweep.tasks.branches.tracking import branch_point_determinant, correct
 from gaitsweep.tasks.contract.kinds import KINDS, kind_of
 from gaitsweep.tasks.gaits.rounding import rounding

@@ -18,7 +18,9 @@ def roots(n: int) -> np.ndarray:
     -------
     ndarray, shape (n,)
     """
-    return np.cos((2 * np.arange(n)[::-1] + 1) * np.pi / (2 * n))
+    falling = np.arange(n)[::-1]
+    angles = (2 * falling + 1) * np.pi / (2 * n)
+    return np.cos(angles)
 
 
 def tensor_nodes(sizes: tuple[int, ...]) -> np.ndarray:
@@ -33,7 +35,8 @@ def tensor_nodes(sizes: tuple[int, ...]) -> np.ndarray:
     -------
     ndarray, shape (product of sizes, d)
     """
-    return np.array(list(itertools.product(*map(roots, sizes))))
+    along = map(roots, sizes)
+    return np.array(list(itertools.product(*along)))
 
 
 @dataclass(frozen=True)
@@ -63,20 +66,25 @@ class Box:
         high = np.array(self.high)
         origin = np.array(self.origin or np.zeros(len(low)))
         side = np.where(low < origin, -1, 1)
-        near, far = np.sort(side * (np.array([low, high]) - origin), axis=0)
+        from_origin = side * (np.array([low, high]) - origin)
+        near, far = np.sort(from_origin, axis=0)
         is_far = (near > 0) & (8 * near < far)
         return origin, side, near, far, self.log & is_far
 
     def share(self, part: Box) -> float:
         """Return the share of its coordinates' range that a part has."""
-        low, high = self.unit(np.array([part.low, part.high]))
-        return float(np.prod(0.5 * (high - low)))
+        ends = np.array([part.low, part.high])
+        low, high = self.unit(ends)
+        shares = 0.5 * (high - low)
+        return float(np.prod(shares))
 
     def holds(self, point: np.ndarray) -> bool:
         """Return whether a point (d,) lies inside or on the border [the walker's
         units].
         """
-        return bool(((point >= self.low) & (point <= self.high)).all())
+        is_above = point >= self.low
+        is_below = point <= self.high
+        return bool((is_above & is_below).all())
 
     def common(self, other: Box) -> Box:
         """Return the part that another box of the same keys has too; it holds nothing
@@ -98,8 +106,9 @@ class Box:
         -------
         ndarray, shape (product of n, d) [the walker's units]
         """
-        sizes = (n,) * len(self.keys) if isinstance(n, int) else n
-        return self.at(tensor_nodes(sizes))
+        if isinstance(n, int):
+            n = (n,) * len(self.keys)
+        return self.at(tensor_nodes(n))
 
     def at(self, unit: np.ndarray) -> np.ndarray:
         """Return the values of keys at coordinates that run from -1 to 1.
@@ -115,15 +124,19 @@ class Box:
         low = np.array(self.low)
         high = np.array(self.high)
         middle = 0.5 * (low + high)
-        linear = middle + 0.5 * (high - low) * unit
+        half = 0.5 * (high - low)
+        linear = middle + half * unit
         origin, side, near, far, is_log = self._distances
         if not is_log.any():
             return linear
 
         with np.errstate(invalid="ignore", divide="ignore"):
             share = 0.5 * (1 + side * unit)
-            distance = near * np.exp(share * np.log(far / near))
-            return np.where(is_log, origin + side * distance, linear)
+            reach = np.log(far / near)
+            distance = near * np.exp(share * reach)
+            logarithmic = origin + side * distance
+
+        return np.where(is_log, logarithmic, linear)
 
     def unit(self, points: np.ndarray) -> np.ndarray:
         """Return the coordinates from -1 to 1 of values of keys.
@@ -145,9 +158,11 @@ class Box:
 
         with np.errstate(invalid="ignore", divide="ignore"):
             distance = side * (points - origin)
-            share = np.log(distance / near) / np.log(far / near)
+            reach = np.log(far / near)
+            share = np.log(distance / near) / reach
+            logarithmic = side * (2 * share - 1)
 
-        return np.where(is_log, side * (2 * share - 1), linear)
+        return np.where(is_log, logarithmic, linear)
 
     def corners(self, at: float) -> np.ndarray:
         """Return the coordinates of points near the corners.
@@ -161,8 +176,9 @@ class Box:
         -------
         ndarray, shape (2^d, d)
         """
-        corners = list(itertools.product((-1.0, 1.0), repeat=len(self.keys)))
-        return at * np.array(corners)
+        d = len(self.keys)
+        corners = itertools.product((-1.0, 1.0), repeat=d)
+        return at * np.array(list(corners))
 
     def parts(
         self,
@@ -177,7 +193,8 @@ class Box:
         halved = self.halved or (0,) * d
         if at is None:
             halved = _with(halved, axis, halved[axis] + 1)
-            at = float(self.at(np.zeros((1, d)))[0, axis])
+            (middle,) = self.at(np.zeros((1, d)))
+            at = float(middle[axis])
 
         whole = replace(self, halved=halved)
         if origin is not None:
@@ -185,7 +202,8 @@ class Box:
             whole = replace(whole, origin=_with(origins, axis, origin))
 
         lower = replace(whole, high=_with(self.high, axis, at))
-        return lower, replace(whole, low=_with(self.low, axis, at))
+        upper = replace(whole, low=_with(self.low, axis, at))
+        return lower, upper
 
     def draw(
         self,

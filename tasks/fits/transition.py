@@ -32,7 +32,8 @@ def asymptotic(ratio: ndarray) -> ndarray:
     -------
     ndarray, shape (n,) [rad]
     """
-    return ratio**1.5 / (8 * math.tanh(math.pi / 2) ** 2)
+    tanh = math.tanh(math.pi / 2)
+    return ratio**1.5 / (8 * tanh**2)
 
 
 def linear_amplitude(slope: ndarray, angle: ndarray) -> tuple[float, float, float, int]:
@@ -57,21 +58,26 @@ def linear_amplitude(slope: ndarray, angle: ndarray) -> tuple[float, float, floa
     """
     y = np.log(angle / slope)
     is_far = ~(np.abs(y - y[0]) < 0.02)
-    n = int(np.argmax(is_far)) if is_far.any() else len(y)
-    if n < 4 or not _is_linear(slope[:n], y[:n]):
+    n = len(y)
+    if is_far.any():
+        n = int(np.argmax(is_far))
+
+    slope = slope[:n]
+    y = y[:n]
+    if n < 4 or not _is_linear(slope, y):
         return math.nan, math.nan, math.nan, n
 
-    largest = slope[n - 1]
-
-    squares = (slope[:n] / largest) ** 2
+    largest = slope[-1]
+    squares = (slope / largest) ** 2
     design = np.stack([np.ones(n), squares], axis=1)
-    solution, residual, _, _ = np.linalg.lstsq(design, y[:n], rcond=None)
+    solution, residual, _, _ = np.linalg.lstsq(design, y, rcond=None)
     scatter = 0.0
     if len(residual):
         scatter = math.sqrt(residual[0] / (n - 2))
     covariance = np.linalg.inv(design.T @ design)
     error = scatter * math.sqrt(covariance[0, 0])
-    return float(np.exp(solution[0])), error, float(largest), n
+    amplitude = float(np.exp(solution[0]))
+    return amplitude, error, float(largest), n
 
 
 def _is_linear(slope: ndarray, y: ndarray) -> bool:
@@ -132,13 +138,22 @@ def fitted_lines(
         1/3, above 3 expected; its numbers are NaN where either has fewer than three
         points.
     """
-    low, high = expected / 10, expected * 3
-    lower = fit(slope[slope < low], angle[slope < low])
-    above = slope > high
-    if lower is None or above.sum() < 3:
+    low = expected / 10
+    high = expected * 3
+    is_below = slope < low
+    is_above = slope > high
+    lower = fit(slope[is_below], angle[is_below])
+    if lower is None or is_above.sum() < 3:
         return FittedLines(math.nan, low, high)
 
-    over_cube_root = np.log(angle[above]) - np.log(slope[above]) / 3
+    over_cube_root = np.log(angle[is_above]) - np.log(slope[is_above]) / 3
     upper = float(np.exp(np.mean(over_cube_root)))
-    crossing = (upper / lower.amplitude) ** (1 / (lower.exponent - 1 / 3))
-    return FittedLines(crossing, low, high, lower.exponent, lower.amplitude, upper)
+    power = 1 / (lower.exponent - 1 / 3)
+    return FittedLines(
+        slope=(upper / lower.amplitude) ** power,
+        below=low,
+        above=high,
+        exponent=lower.exponent,
+        amplitude=lower.amplitude,
+        cube_root=upper,
+    )

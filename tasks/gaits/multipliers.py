@@ -34,11 +34,11 @@ def multipliers(jacobian: ndarray, width: int) -> ndarray:
     ndarray of complex, shape (n, width)
         NaN where the derivative is not finite.
     """
-    m = jacobian.shape[0]
-    n = jacobian.shape[2]
+    m, _, n = jacobian.shape
     values = _of_two(jacobian) if m == 2 else _of_any(jacobian)
-    size = np.abs(values)
-    order = np.lexsort((-values.imag, -values.real, -size), axis=-1)
+    # By magnitude, of a pair the upper one first.
+    last_to_first = (-values.imag, -values.real, -np.abs(values))
+    order = np.lexsort(last_to_first, axis=-1)
     padded = np.zeros((n, width), complex)
     padded[:, :m] = np.take_along_axis(values, order, axis=1)
     return padded
@@ -49,14 +49,22 @@ def _of_two(jacobian: ndarray) -> ndarray:
     """Eigenvalues (n, 2) of matrices (2, 2, n)."""
     (a, b), (c, d) = jacobian
     middle = (a + d) / 2
-    gap = ((a - d) / 2) ** 2 + b * c
+    half = (a - d) / 2
+    gap = half**2 + b * c
     root = np.sqrt(np.abs(gap))
+
     # The larger root without cancellation, the smaller from the determinant.
-    large = middle + np.where(middle < 0, -root, root)
+    outward = np.where(middle < 0, -root, root)
+    large = middle + outward
     determinant = a * d - b * c
-    small = np.where(large != 0, determinant / large, 0.0)
-    first = np.where(gap >= 0, large, middle + 1j * root)
-    second = np.where(gap >= 0, small, middle - 1j * root)
+    quotient = determinant / large
+    small = np.where(large != 0, quotient, 0.0)
+
+    are_real = gap >= 0
+    upper = middle + 1j * root
+    lower = middle - 1j * root
+    first = np.where(are_real, large, upper)
+    second = np.where(are_real, small, lower)
     return np.stack([first, second], axis=1)
 
 
@@ -88,16 +96,24 @@ def characteristic(jacobian: ndarray, sign: float = -1.0) -> ndarray:
     """
     if len(jacobian) == 2:
         (a, b), (c, d) = jacobian
-        return np.stack([a + d, a * d + sign * b * c])
+        trace = a + d
+        determinant = a * d + sign * b * c
+        return np.stack([trace, determinant])
 
     (a, b, c), (d, e, f), (g, h, i) = jacobian
-    minors = (a * e + sign * b * d) + (a * i + sign * c * g) + (e * i + sign * f * h)
-    determinant = (
-        a * (e * i + sign * f * h)
-        + b * (f * g + sign * d * i)
-        + c * (d * h + sign * e * g)
-    )
-    return np.stack([a + e + i, minors, determinant])
+    trace = a + e + i
+
+    # Without the third, second and first row and column.
+    third = a * e + sign * b * d
+    second = a * i + sign * c * g
+    first = e * i + sign * f * h
+    minors = third + second + first
+
+    by_a = a * first
+    by_b = b * (f * g + sign * d * i)
+    by_c = c * (d * h + sign * e * g)
+    determinant = by_a + by_b + by_c
+    return np.stack([trace, minors, determinant])
 
 
 def characteristic_errors(jacobian: ndarray, error: ndarray) -> ndarray:
@@ -148,7 +164,8 @@ def multiplier_changes(values: ndarray, change: ndarray) -> ndarray:
         Zero where eigenvalues are too near each other for that.
     """
     m = len(change)
-    alternating = change * (-1.0) ** np.arange(m)[:, None]
+    signs = (-1.0) ** np.arange(m)
+    alternating = change * signs[:, None]
     moved = np.zeros(values.shape, complex)
     for i in range(m):
         gaps = _gaps(values[:, :m], i)
@@ -202,17 +219,19 @@ def multiplier_bounds(values: ndarray, error: ndarray) -> ndarray:
         size = np.abs(values[:, i])
         change = polynomial(error, size)
         gaps = np.abs(_gaps(values[:, :m], i))
-        radius = _ROUCHE * change / math.prod(gaps)
+        product = math.prod(gaps)
+        radius = _ROUCHE * change / product
 
         on_circle = radius * math.prod(gaps - radius)
-        is_larger = on_circle >= polynomial(error, size + radius)
-        is_simple = (radius < gaps.min(axis=0)) & is_larger
+        largest_change = polynomial(error, size + radius)
+        is_larger = on_circle >= largest_change
+        is_apart = radius < gaps.min(axis=0)
         of_any = change ** (1 / m)
-        bound = np.where(is_simple, radius, of_any)
+        bound = np.where(is_apart & is_larger, radius, of_any)
         worst = np.fmax(worst, bound)
 
-    is_known = np.isfinite(values[:, 0])
-    return np.asarray(worst + np.where(is_known, 0.0, np.nan))
+    worst[~np.isfinite(values[:, 0])] = np.nan
+    return worst
 
 
 def other_multipliers(kind: str, jacobian: ndarray) -> ndarray:

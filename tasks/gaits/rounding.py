@@ -9,6 +9,7 @@ from gaitsweep.tasks.gaits.multipliers import characteristic
 from gaitsweep.tasks.mechanics.arrays import (
     LogSlopes,
     Parameters,
+    PerLane,
     Sections,
     Slopes,
     Times,
@@ -53,8 +54,10 @@ def reported(
     values = np.vstack([state[rows], times[-1:]])
 
     unknowns = len(y) + len(times)
-    by_unknowns = np.zeros((len(values), unknowns, y.shape[1]))
-    by_unknowns[:-1, : by_y.shape[1]] = by_y[rows]
+    shape = len(values), unknowns, y.shape[1]
+    coordinates = by_y.shape[1]
+    by_unknowns = np.zeros(shape)
+    by_unknowns[:-1, :coordinates] = by_y[rows]
     by_unknowns[-1, -1] = 1.0
     return state, values, by_unknowns
 
@@ -229,26 +232,35 @@ def rounding(stride: AnyStride) -> ndarray:
     it (`rounding_std`, `equations.slope_error`).
     """
     size = sizes(stride.y)
-    # Off balance, a short step has rates that far exceed its section's; their rounding
-    # accumulates on the way. Where a strike is tangential to the last digit neither the
-    # image nor the rates are corrected.
+    beyond = _on_the_way(stride, size)
+    # Angles and rates mix on the way, so the rounding of all is that of the largest. A
+    # point foot's motion has few constants; that of others many, each of them rounded,
+    # and several times the operations.
+    m = len(size)
+    share = 0.5 if len(stride.jacobian) == 2 else 3.0
+    of_image = np.abs(stride.residual[:m] + stride.y)
+    largest = (size + of_image).max(axis=0)
+    image = np.broadcast_to(share * largest, size.shape)
+
+    inverse = stride.inverse[:m, :m]
+    through = np.abs(inverse - np.eye(m)[:, :, None])
+    by_image = matvec(np.abs(inverse), image + beyond)
+    by_start = matvec(through, size + beyond)
+    return EPS * (by_image + by_start) / size
+
+
+def _on_the_way(stride: AnyStride, size: ndarray) -> PerLane:
+    """What rounding accumulates on the way beyond that of sections of some sizes (m, n):
+    off balance, a short step has rates that far exceed its section's.
+
+    Where a strike is tangential to the last digit neither the image nor the rates are
+    corrected.
+    """
     one = stride.one
     n = size.shape[1]
     impact = np.where(np.isfinite(one.impact), np.abs(one.impact), 0.0)
     at_impact = impact.reshape(-1, n).max(axis=0)
     at_start = np.abs(one.start).reshape(-1, n).max(axis=0)
     fastest = np.maximum(at_impact, at_start)
-    beyond = 48 * np.maximum(0, fastest - 2 * size.max(axis=0))
-
-    # Angles and rates mix on the way, so the rounding of all is that of the largest. A
-    # point foot's motion has few constants; that of others many, each of them rounded,
-    # and several times the operations.
-    m = len(size)
-    share = 0.5 if len(stride.jacobian) == 2 else 3.0
-    largest = (size + np.abs(stride.residual[:m] + stride.y)).max(axis=0)
-    image = np.broadcast_to(share * largest, size.shape)
-
-    inverse = stride.inverse[:m, :m]
-    of_image = matvec(np.abs(inverse), image + beyond)
-    through = np.abs(inverse - np.eye(m)[:, :, None])
-    return EPS * (of_image + matvec(through, size + beyond)) / size
+    faster = fastest - 2 * size.max(axis=0)
+    return np.asarray(48 * np.maximum(0, faster))

@@ -171,10 +171,12 @@ def periods(walker: Walker) -> np.ndarray:
 
 
 def _periods(linear: SmallAngles) -> np.ndarray:
-    lattice = np.array(_PERIODS_KNEED if linear.has_knees else _PERIODS) * linear.swing
-    wide = np.diff(lattice) > _LARGEST_GAP
-    between = (lattice[:-1] + lattice[1:])[wide] / 2
-    return np.sort(np.concatenate([lattice, between]))
+    in_swings = _PERIODS_KNEED if linear.has_knees else _PERIODS
+    lattice = np.array(in_swings) * linear.swing
+    is_wide = np.diff(lattice) > _LARGEST_GAP
+    between = (lattice[:-1] + lattice[1:])[is_wide] / 2
+    every = np.concatenate([lattice, between])
+    return np.sort(every)
 
 
 def _straight_guesses(
@@ -183,33 +185,36 @@ def _straight_guesses(
     """Rates over the angle and periods of guesses for straight legs."""
     if linear.point_foot:
         lattice = _periods(linear)
-        for place, exchange in zip(
-            _EXCHANGED, linear.exchange_periods(angle, slope), strict=True
-        ):
-            period = np.where(
-                (period == lattice[place]) & np.isfinite(exchange), exchange, period
-            )
+        exchanges = linear.exchange_periods(angle, slope)
+        for place, exchange in zip(_EXCHANGED, exchanges, strict=True):
+            is_replaced = (period == lattice[place]) & np.isfinite(exchange)
+            period = np.where(is_replaced, exchange, period)
 
     rates = linear.exchange_rates(angle, period, slope)
     swing = np.full(len(period), _PLAIN_SWING)
     stance = linear.stance_rate(angle, period, swing * angle, slope) / angle
-    plain = np.array([np.clip(stance, -_MAX_RATE, _MAX_RATE), swing])
+    stance = np.clip(stance, -_MAX_RATE, _MAX_RATE)
+    plain = np.array([stance, swing])
 
     # A fast leg swings through small angles at high rates.
     quickness = max(1.0, np.pi / linear.swing)
     limits = _LINEAR_UP_TO * np.array([[1.0], [quickness]])
     is_linear = (np.abs(rates) <= limits).all(axis=0)
     largest = _MAX_RATE * quickness
-    rates = np.where(is_linear, np.clip(rates / angle, -largest, largest), plain)
-
-    # Heelstrike itself sets the swing leg's rate where its mass is at the foot.
-    return [*(rates[:1] if linear.point_foot else rates), period]
+    by_angle = np.clip(rates / angle, -largest, largest)
+    rates = np.where(is_linear, by_angle, plain)
+    if linear.point_foot:
+        # Heelstrike itself sets the swing leg's rate where its mass is at the foot.
+        rates = rates[:1]
+    return [*rates, period]
 
 
 def _small_guesses(linear: SmallAngles, slopes: Sequence[float]) -> list[np.ndarray]:
     """Guesses that are gaits of straight legs to first order, for each slope."""
     is_fast = linear.swing < _FAST
-    chosen = [x for x in slopes if is_fast or x != VANISHING or len(slopes) == 1]
+    chosen = list(slopes)
+    if not is_fast and len(slopes) > 1:
+        chosen = [slope for slope in slopes if slope != VANISHING]
     gaits = dict(zip(chosen, small_gaits(linear, chosen), strict=True))
     none = np.zeros((4, 0))
 
@@ -232,12 +237,16 @@ def _scaled(gaits: np.ndarray, largest: float, with_lossless: bool) -> np.ndarra
     """Gaits of small angles, and those that lose no energy to first order with angles
     in proportion to the cube root of the slope, since to third they lose a little.
     """
-    is_small = (gaits[0] > 0) & (gaits[0] < largest)
+    angle = gaits[0]
+    is_small = (angle > 0) & (angle < largest)
     scaled = [gaits[:, is_small]]
-    for share in _OF_LARGEST if with_lossless else ():
-        lossless = gaits[:, np.abs(gaits[0]) >= largest]
-        lossless[0] = share * largest
-        scaled.append(lossless)
+    if with_lossless:
+        is_large = np.abs(angle) >= largest
+        for share in _OF_LARGEST:
+            lossless = gaits[:, is_large]
+            lossless[0] = share * largest
+            scaled.append(lossless)
+
     return np.hstack(scaled)
 
 
@@ -255,11 +264,13 @@ def _kneed_guesses(
     rate, kneestrike = linear.kneed_exchange(angle, period, ratio, slope)
     is_linear = np.abs(rate) <= _LINEAR_UP_TO
     plain = -1.0 / np.tanh(period / 2)
-    rate = np.where(is_linear, np.clip(rate / angle, -_MAX_RATE, _MAX_RATE), plain)
+    by_angle = np.clip(rate / angle, -_MAX_RATE, _MAX_RATE)
+    rate = np.where(is_linear, by_angle, plain)
 
     guessed = np.isfinite(kneestrike)
-    at = np.nonzero(guessed)[1]
-    rate, kneestrike = rate[guessed], kneestrike[guessed]
+    _, at = np.nonzero(guessed)
+    rate = rate[guessed]
+    kneestrike = kneestrike[guessed]
     swing_rate = ratio[at] * rate
     w = np.array([log_angle[at], rate, swing_rate, kneestrike, period[at]])
     return w, at
@@ -285,10 +296,12 @@ def search(
         Whether these happen.
     """
     line = Lanes([problem.walker], problem.structure, problem.drive)
-    w = search_lines(line, [slope])[0][0]
-    if not w.shape[1]:
+    [[w]] = search_lines(line, [slope])
+    n = w.shape[1]
+    if not n:
         return w, None, None
-    return w, *verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
+    log_slope = np.full(n, np.log(slope))
+    return w, *verify_steps(problem, w, log_slope)
 
 
 def search_lines(
@@ -311,19 +324,24 @@ def search_lines(
         In similarity coordinates, for each slope one array a line.
     """
     lines = range(len(problem.lanes))
-    lattice = [w for line in lines for w in _starts(problem, line, slopes, shares)]
+    lattice: list[np.ndarray] = []
+    for line in lines:
+        lattice += _starts(problem, line, slopes, shares)
+
     # A group is a slope of a line.
-    group = np.repeat(np.arange(len(lattice)), [w.shape[1] for w in lattice])
-    w, log_slope = np.hstack(lattice), np.log(np.asarray(slopes))
+    counts = [w.shape[1] for w in lattice]
+    group = np.repeat(np.arange(len(lattice)), counts)
+    w = np.hstack(lattice)
+    log_slope = np.log(np.asarray(slopes))
 
     def solve(
         w: np.ndarray, group: np.ndarray, apart: float, **options: Any
     ) -> tuple[np.ndarray, np.ndarray]:
-        lanes = problem.some(group // len(slopes))
-        w, converged = newton(
-            lanes, w, log_slope[group % len(slopes)], group=group, **options
-        )
-        w, group = w[:, converged], group[converged]
+        line, number = np.divmod(group, len(slopes))
+        lanes = problem.some(line)
+        w, converged = newton(lanes, w, log_slope[number], group=group, **options)
+        w = w[:, converged]
+        group = group[converged]
         kept, _ = distinct(w, group, apart)
         return w[:, kept], group[kept]
 
@@ -377,12 +395,21 @@ def distinct(
     same : ndarray of int, shape (n,)
         For each solution the place in `kept` of that which stands for it.
     """
-    kept, same, first = list[int](), np.zeros(w.shape[1], int), 0
-    for i in np.lexsort([*np.round(w, 6)[::-1], group]).tolist():
+    kept: list[int] = []
+    same = np.zeros(w.shape[1], int)
+    first = 0
+    rounded = np.round(w, 6)
+    order = np.lexsort([*rounded[::-1], group])
+    for i in order.tolist():
         if kept and group[kept[-1]] != group[i]:
             first = len(kept)
-        near = np.abs(w[:, kept[first:]] - w[:, [i]]).max(axis=0) <= apart
-        same[i] = first + near.argmax() if near.any() else len(kept)
-        kept += [] if near.any() else [i]
+
+        off = np.abs(w[:, kept[first:]] - w[:, [i]]).max(axis=0)
+        is_near = off <= apart
+        if is_near.any():
+            same[i] = first + is_near.argmax()
+        else:
+            same[i] = len(kept)
+            kept.append(i)
 
     return np.array(kept, int), same

@@ -38,7 +38,8 @@ def _flags(gaits: Arrays, name: str) -> np.ndarray:
     """
     exists = np.isfinite(gaits["stance_angle"])
     violation = VIOLATIONS[name]
-    amounts = np.array([gaits[amount][exists] for amount in violation.amounts])
+    of_gaits = [gaits[amount][exists] for amount in violation.amounts]
+    amounts = np.array(of_gaits)
     violated = amounts < 0 if violation.is_least else amounts > 0
     return np.asarray(violated.any(axis=0))
 
@@ -133,7 +134,8 @@ def trailing_foot(paper: Paper) -> Found:
     trailing foot.
     """
     counts = _count(paper, "trailing_foot_pulls")
+    count = counts["count"]
     at_steep = _measure(paper, "physical-straight", (0.3,))
     steep = np.nanmax(at_steep["trailing_impulse"])
-    holds = verdict(counts["count"] == 0, counts["count"] < counts["total"] / 10)
-    return found(holds, counts["count"], steep=steep, **counts)
+    holds = verdict(count == 0, count < counts["total"] / 10)
+    return found(holds, count, steep=steep, **counts)

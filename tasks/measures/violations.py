@@ -103,11 +103,15 @@ def greatest(
     if among is None:
         among = ~np.isnan(x)
     samples = np.where(among, x, -np.inf)
-    border = np.full((1, x.shape[1]), -np.inf)
+    n = x.shape[1]
+    border = np.full((1, n), -np.inf)
     around = np.concatenate([border, samples, border])
-    is_peak = (samples >= around[:-2]) & (samples >= around[2:]) & (samples > -np.inf)
+    before = around[:-2]
+    after = around[2:]
+    is_peak = (samples >= before) & (samples >= after)
+    is_peak &= samples > -np.inf
 
-    lane = np.arange(x.shape[1])
+    lane = np.arange(n)
     best = np.argmax(samples, axis=0)
     value, position = _peak(x, best)
     # The highest peak may lie between two samples that are lower than another one.
@@ -141,7 +145,8 @@ def _peak(x: ndarray, best: ndarray) -> tuple[ndarray, ndarray]:
     """
     top = len(x) - 1
     middle = np.clip(best, _SIDE, top - _SIDE)
-    low, at, high = ((np.clip(best + k, 0, top) - middle) / _SIDE for k in (-1, 0, 1))
+    around = (np.clip(best + k, 0, top) for k in (-1, 0, 1))
+    low, at, high = ((place - middle) / _SIDE for place in around)
     value = x[best, np.arange(x.shape[1])]
     t = at
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -214,7 +219,8 @@ def _first_passing(apart: ndarray) -> tuple[ndarray, ndarray]:
     middle = np.clip(i, _SIDE, len(apart) - 1 - _SIDE)
     before = apart[i, lane]
     after = apart[i + 1, lane]
-    return middle, (i - middle + before / (before - after)) / _SIDE
+    zero = i - middle + before / (before - after)
+    return middle, zero / _SIDE
 
 
 def _step_to_zero(powers: ndarray, t: ndarray) -> ndarray:

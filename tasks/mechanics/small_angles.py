@@ -57,12 +57,13 @@ class SmallAngles:
 
     def __init__(self, walker: Walker):
         constants = lump(walker)
-        self.point_foot, self.has_knees = walker.point_foot, walker.knees
+        self.point_foot = walker.point_foot
+        self.has_knees = walker.knees
         self.eps = constants["eps"]
         self.length = 1.0 - constants["R"]
         self.locked, self.free = self._motions(constants)
 
-        S, J = self.locked.weights[1], self.locked.M[1, 1]
+        S, J = self._straight_leg()
         self.swing = _swing(S - constants["hip_stiffness"], J)
         #: Impulse of the push-off, and torque between the thighs that drives.
         self.push = constants["push"]
@@ -76,6 +77,10 @@ class SmallAngles:
         #: Rates just after heelstrike by both rates before it, and by (angle, 1).
         self.heelstrike = rates[:, :2]
         self.push_off = rates[:, 2:]
+
+    def _straight_leg(self) -> tuple[float, float]:
+        """First moment and inertia of the straight swing leg."""
+        return self.locked.weights[1], self.locked.M[1, 1]
 
     def _motions(self, constants: Mapping[str, float]) -> tuple[_Linear, _Linear]:
         """The motion with the knee locked, and with a free one."""
@@ -105,14 +110,14 @@ class SmallAngles:
         """Momenta of the links before heelstrike with both legs along the normal
         (tasks.mechanics.impacts), by both rates, the angle and 1.
         """
-        S, J = self.locked.weights[1], self.locked.M[1, 1]
+        S, J = self._straight_leg()
         between = constants["H_re"] if self.has_knees else 0.0
         own = np.diag(self.free.M)[1:]
 
         momentum = np.zeros((len(self.free.M), 4))
-        momentum[0, :2] = 1 + 2 * self.eps * S, self.eps * (S + J)
+        momentum[0, 0] = 1 + 2 * self.eps * S
+        momentum[0, 1] = self.eps * (S + J)
         momentum[1:, 0] = self.free.weights[1:] + own + between
-
         return momentum
 
     def _push_off(self, constants: Mapping[str, float], frees_knee: bool) -> np.ndarray:
@@ -124,12 +129,12 @@ class SmallAngles:
         if frees_knee:
             # The knee lies beside the line from the contact to the hip, which leans by
             # the foot's arc.
-            knee_x, knee_y = constants["knee_re"], constants["knee_im"]
+            knee_x = constants["knee_re"]
+            knee_y = constants["knee_im"]
             leaning = knee_y * (self.length - 1.0)
             bending = push / self.eps * np.array([leaning, knee_x])
             gained[1] = bending
             gained[2] = -bending
-
         return gained
 
     def _rates_of(self, momentum: np.ndarray, locks_trailing_knee: bool) -> np.ndarray:
@@ -141,7 +146,6 @@ class SmallAngles:
         of_leg = thigh + shank
         rates = np.linalg.solve(self.locked.M, [stance, of_leg])
         leg = rates[1]
-
         return np.stack([rates[0], leg, leg])
 
     def exchange_rates(
@@ -170,12 +174,12 @@ class SmallAngles:
         # By Cramer's rule, since both rates may do the same to all digits where a leg
         # falls fast.
         (a, b), (c, d) = by_rates
-        rates = np.stack(
-            [d * lack[0] - b * lack[1], a * lack[1] - c * lack[0]],
-        )
-
+        of_stance = d * lack[0] - b * lack[1]
+        of_swing = a * lack[1] - c * lack[0]
+        rates = np.stack([of_stance, of_swing])
+        determinant = a * d - b * c
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(rates / (a * d - b * c))
+            return np.asarray(rates / determinant)
 
     def stance_rate(
         self,
@@ -197,7 +201,6 @@ class SmallAngles:
         ndarray, shape (n,) [rad/sqrt(leg/g)]
         """
         by_rates, lack = self._exchange(angle, period, slope)
-
         return (lack[0] - by_rates[0, 1] * swing_rate) / by_rates[0, 0]
 
     def exchange_periods(self, angle: np.ndarray, slope: np.ndarray) -> np.ndarray:
@@ -220,21 +223,22 @@ class SmallAngles:
             motion[:, j, :, None] * known
             for j, known in enumerate(_known(angle, slope))
         )
-        lack = -np.array([angle, -angle])[:, None] - reached
         by_rate = total(
             motion[:, 2 + j, :, None] * rate
             for j, rate in enumerate(_rates_along(angle))
         )
+        wanted = -np.array([angle, -angle])
+        lack = wanted[:, None] - reached
         off = lack[1] * by_rate[0] - lack[0] * by_rate[1]
 
         crosses = np.diff(np.sign(off), axis=0) != 0
-
+        before = _PERIODS[:-1, None]
+        gaps = np.diff(_PERIODS)[:, None]
         with np.errstate(invalid="ignore", divide="ignore"):
-            roots = _PERIODS[:-1, None] - off[:-1] * np.diff(_PERIODS)[
-                :, None
-            ] / np.diff(off, axis=0)
+            roots = before - off[:-1] * gaps / np.diff(off, axis=0)
 
-        return np.sort(np.where(crosses, roots, np.nan), axis=0)[:2]
+        periods = np.where(crosses, roots, np.nan)
+        return np.sort(periods, axis=0)[:2]
 
     def kneed_exchange(
         self,
@@ -284,7 +288,6 @@ class SmallAngles:
 
         kneestrike = np.stack([first, second])
         rates = [self._rate_before(time, *asked) for time in kneestrike]
-
         return np.stack(rates), kneestrike
 
     def _rate_before(
@@ -301,7 +304,6 @@ class SmallAngles:
         end = self._kneed_end(kneestrike, period)
         by_angle, by_rate, by_swing_rate, rest, by_slope = end
         reached = by_angle * angle + rest + by_slope * slope
-
         return -(angle + reached) / (by_rate + by_swing_rate * ratio)
 
     def _hangs_bent(self) -> bool:
@@ -309,7 +311,6 @@ class SmallAngles:
         moments = self.free.moments
         _, thigh, shank = moments.tolist()
         between = thigh * shank.conjugate()
-
         return abs(between.imag) > np.tan(_BENT) * abs(between.real)
 
     def _exchange(
@@ -320,12 +321,9 @@ class SmallAngles:
         """
         periods, place = np.unique(period, return_inverse=True)
         motion = self.locked.after(periods)[place, :2].transpose(1, 2, 0)
-        lack = -np.array([angle, -angle]) - matvec(
-            motion,
-            _known(angle, slope),
-        )
-
-        return motion[:, 2:4], lack
+        wanted = -np.array([angle, -angle])
+        reached = matvec(motion, _known(angle, slope))
+        return motion[:, 2:4], wanted - reached
 
     def _start(self) -> np.ndarray:
         """State with a free knee just after heelstrike by (angle, old stance rate, old
@@ -333,10 +331,10 @@ class SmallAngles:
         """
         n = len(self.free.M)
         start = np.zeros((2 * n, 5))
-        start[:n, 0] = [1.0, *[-1.0] * (n - 1)]
+        start[0, 0] = 1.0
+        start[1:n, 0] = -1.0
         start[n:, 1:3] = self.heelstrike
         start[n:, [0, 3]] = self.push_off
-
         return start
 
     def _knee_returns(
@@ -355,16 +353,17 @@ class SmallAngles:
         # Straight at the start, but for rounding.
         flexion[0] = 0.0
 
-        returns = (flexion[:-1] > 0) & (flexion[1:] <= 0)
+        after = flexion[1:]
+        returns = (flexion[:-1] > 0) & (after <= 0)
         count = np.cumsum(returns, axis=0)
-        first = _crossing(times, flexion, returns & (count == 1))
-        second = _crossing(times, flexion, returns & (count == 2))
+        is_first = returns & (count == 1)
+        is_second = returns & (count == 2)
+        first = _crossing(times, flexion, is_first)
+        second = _crossing(times, flexion, is_second)
 
-        before = np.where(count == 0, flexion[1:], 0.0)
-        between = np.where(count == 1, flexion[1:], 0.0)
-        overextended = -between.min(axis=0)
-        is_shallow = overextended < _SHALLOW * before.max(axis=0)
-
+        flexed = np.where(count == 0, after, 0.0).max(axis=0)
+        overextended = -np.where(count == 1, after, 0.0).min(axis=0)
+        is_shallow = overextended < _SHALLOW * flexed
         return first, np.where(is_shallow, second, np.nan)
 
     def _kneed_end(self, kneestrike: np.ndarray, period: np.ndarray) -> np.ndarray:
@@ -379,10 +378,10 @@ class SmallAngles:
         rates = matvec(by_rates[:, :, None, None], struck[3:])
         locked = np.concatenate([struck[:2], rates])
 
-        by_locked = self.locked.after(period - kneestrike)[:, 0].T
+        lasts = period - kneestrike
+        by_locked = self.locked.after(lasts)[:, 0].T
         end = total(by_locked[:4, None] * locked)
         end[3:] += by_locked[4:]
-
         return end
 
 
@@ -393,10 +392,12 @@ def _swing(S: float, J: float) -> float:
     A leg whose centre of mass lies at the hip, or above, has none of its own; beyond
     its fall there is nothing to search for.
     """
-    longest = (np.pi / _SWINGS[1]) ** 2
-    square = max(-S / J, S / J / _FALLING**2, longest)
-
-    return max(float(np.pi / np.sqrt(square)), _SWINGS[0])
+    shortest, longest = _SWINGS
+    hanging = -S / J
+    falling = S / J / _FALLING**2
+    slowest = (np.pi / longest) ** 2
+    frequency = np.sqrt(max(hanging, falling, slowest))
+    return max(float(np.pi / frequency), shortest)
 
 
 class _Linear:
@@ -412,14 +413,16 @@ class _Linear:
         inertia: list[float],
         between: float,
     ):
-        self.moments = arms = np.array([stance, *swing])
+        arms = np.array([stance, *swing])
+        self.moments = arms
         self.weights = arms.imag
         self.G = np.diag(arms.imag)
         self.M = np.diag([rolling, *inertia])
-        self.M[0, 1:], self.M[1:, 0] = eps * self.weights[1:], self.weights[1:]
-
+        self.M[0, 1:] = eps * self.weights[1:]
+        self.M[1:, 0] = self.weights[1:]
         if len(swing) > 1:
-            self.M[1, 2] = self.M[2, 1] = between
+            self.M[1, 2] = between
+            self.M[2, 1] = between
         self.D = np.zeros_like(self.M)
         self.c = np.stack([arms.real, arms.imag], axis=1)
         self.c[0, 1] += R
@@ -439,20 +442,19 @@ class _Linear:
         the motion about where they would rest.
         """
         n = len(self.M)
-        links = slice(n), slice(n, 2 * n)
         rates = np.zeros((2 * n, 2 * n))
-        rates[links] = np.eye(n)
-        rates[links[1], links[0]] = np.linalg.solve(self.M, self.G)
-        rates[links[1], links[1]] = -np.linalg.solve(self.M, self.D)
+        rates[:n, n:] = np.eye(n)
+        rates[n:, :n] = np.linalg.solve(self.M, self.G)
+        rates[n:, n:] = -np.linalg.solve(self.M, self.D)
         growth, modes = np.linalg.eig(rates.astype(complex))
         back = np.linalg.inv(modes)
         of_modes = np.exp(np.multiply.outer(times, growth))
         moved = np.einsum("ij,kj,jl->kil", modes, of_modes, back).real
 
         rest = np.zeros((2 * n, 2))
-        rest[:n] = np.linalg.lstsq(self.G, self.c, rcond=None)[0]
+        angles, *_ = np.linalg.lstsq(self.G, self.c, rcond=None)
+        rest[:n] = angles
         by_force = rest - moved @ rest
-
         return np.concatenate([moved, by_force], axis=2)
 
     def after(self, times: np.ndarray) -> np.ndarray:
@@ -462,19 +464,10 @@ class _Linear:
         if self.D.any():
             return self._damped(times)
 
-        # In the modes z'' = growth^2 z - force, solved for a unit angle, rate and
-        # force.
-        squares, modes = np.linalg.eig(
-            np.linalg.solve(self.M, self.G).astype(complex),
-        )
+        by_angles = np.linalg.solve(self.M, self.G)
+        squares, modes = np.linalg.eig(by_angles.astype(complex))
         growth = np.sqrt(squares)[:, None]
-        is_free = growth == 0
-        own = np.where(is_free, 1, growth)
-        by_angle = np.cosh(growth * times)
-        by_rate = np.where(is_free, times, np.sinh(growth * times) / own)
-        fallen = np.sinh(growth * times / 2) / own
-        by_force = -2 * np.where(is_free, times / 2, fallen) ** 2
-
+        by_angle, by_rate, by_force = _of_modes(growth, times)
         back = np.linalg.inv(modes)
         force = back @ np.linalg.solve(self.M, self.c)
 
@@ -491,7 +484,6 @@ class _Linear:
             (by_angle, back),
             (-by_rate, force),
         )
-
         return np.concatenate([angles, rates], axis=1)
 
     def moved(self, states: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -502,8 +494,26 @@ class _Linear:
         by_state = motion[:, :-2, None]
         moved = matvec(by_state, states[:, :, None])
         moved[:, 3:] += motion[:, -2:]
-
         return moved.transpose(2, 0, 1)
+
+
+def _of_modes(
+    growth: np.ndarray, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Solutions of z'' = growth^2 z - force for a unit angle, rate and force, of modes (i,
+    1) after times (k,), shape (i, k).
+    """
+    is_free = growth == 0
+    own = np.where(is_free, 1, growth)
+    angle = growth * times
+    moved = np.sinh(angle) / own
+    fallen = np.sinh(angle / 2) / own
+
+    by_angle = np.cosh(angle)
+    by_rate = np.where(is_free, times, moved)
+    root = np.where(is_free, times / 2, fallen)
+    by_force = -2 * root**2
+    return by_angle, by_rate, by_force
 
 
 def _of_links(modes: np.ndarray, *parts: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

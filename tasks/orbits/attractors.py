@@ -57,7 +57,8 @@ class Neighbourhoods:
 
         at = stride(problem, y, slope)
         lanes, values, vectors = _capturing(at)
-        vectors = vectors * norm(y[:, lanes])[:, None, None]
+        size = norm(y[:, lanes])
+        vectors = vectors * size[:, None, None]
         inverse = np.linalg.inv(vectors)
         self._coordinates[:, :, lanes] = np.moveaxis(inverse, 0, -1)
         off = _sums_of_eigenvectors(values, vectors)
@@ -82,11 +83,13 @@ class Neighbourhoods:
         off = off.reshape(m, -1)
         each = np.repeat(lanes, count)
         start = self.y[:, each] + off
-        image = stride(problem.some(each), start, slope[each], exact=False).image
+        moved = stride(problem.some(each), start, slope[each], exact=False)
 
-        rest = image - at.image[:, each] - matvec(at.jacobian[:, :, each], off)
+        linear = matvec(at.jacobian[:, :, each], off)
+        rest = moved.image - at.image[:, each] - linear
         ratio = self._size(rest, each) / self._size(off, each) ** 2
-        return np.asarray(ratio.reshape(k, count).max(axis=1))
+        largest = ratio.reshape(k, count).max(axis=1)
+        return np.asarray(largest)
 
     def some(self, lanes: ndarray) -> Neighbourhoods:
         """Return those of some lanes (k,)."""
@@ -113,9 +116,8 @@ class Neighbourhoods:
         """Largest coordinate of deviations (m, k) along the eigenvectors of some lanes
         (k,).
         """
-        return np.asarray(
-            np.abs(matvec(self._coordinates[:, :, lanes], off)).max(axis=0)
-        )
+        along = matvec(self._coordinates[:, :, lanes], off)
+        return np.asarray(np.abs(along).max(axis=0))
 
 
 def _capturing(at: SimulatedSteps) -> tuple[ndarray, ndarray, ndarray]:
@@ -142,9 +144,12 @@ def _sums_of_eigenvectors(values: ndarray, vectors: ndarray) -> ndarray:
     """
     m = values.shape[1]
     # Real and imaginary part stand for the vectors of a pair.
-    real = np.where(values.imag[:, None] >= 0, vectors.real, vectors.imag)
-    some = np.array(list(itertools.product((0, 1), repeat=m))[1:])
-    sums = matvec(real.transpose(1, 2, 0)[:, :, None], some.T[..., None])
+    is_upper = values.imag[:, None] >= 0
+    real = np.where(is_upper, vectors.real, vectors.imag)
+    subsets = list(itertools.product((0, 1), repeat=m))
+    weights = np.array(subsets[1:]).T
+    columns = real.transpose(1, 2, 0)
+    sums = matvec(columns[:, :, None], weights[..., None])
     return np.asarray(_NEAR * sums.swapaxes(1, 2))
 
 
@@ -176,8 +181,9 @@ def attractors(
     for taken in walk.steps(steps + 2 * LONGEST_PERIOD):
         lanes = walk.lanes
         known = repetition.is_known(taken)
-        periods = repetition.period[lanes[known]]
-        found[lanes[known]] = _PERIODS[periods - 1]
+        repeating = lanes[known]
+        periods = repetition.period[repeating]
+        found[repeating] = _PERIODS[periods - 1]
 
         for name, home in homes.items():
             held = home.hold(walk.y[:, lanes], lanes)
@@ -194,7 +200,8 @@ def attractors(
         found[single[is_near]] = name
 
     fell = walk.outcome != STRUCK
-    found[fell] = np.array(CAUSES)[walk.outcome[fell]]
+    causes = np.array(CAUSES)
+    found[fell] = causes[walk.outcome[fell]]
     return found
 
 
@@ -228,17 +235,23 @@ class _Repetition:
             # Beside a flip an orbit alternates while it settles: after twice its period
             # it is at rest much sooner.
             is_first = self.period[lanes] == 0
-            self.period[lanes[(moved < _REPEATS) & is_first]] = elapsed
+            comes_near = (moved < _REPEATS) & is_first
+            self.period[lanes[comes_near]] = elapsed
 
         period = self.period[lanes]
         is_twice = elapsed == 2 * period
-        repeats = (taken > self._steps) & (moved < _REPEATS) & is_twice
-        return (period > 0) & (repeats | (moved < _AT_REST))
+        is_at_rest = moved < _AT_REST
+        repeats = (moved < _REPEATS) & is_twice
+        if taken <= self._steps:
+            repeats[:] = False
+        return (period > 0) & (repeats | is_at_rest)
 
     def renew(self, taken: int) -> None:
         """See the states anew, if it is time for that; a last time after all steps
         before the period is told of orbits that still change.
         """
         is_due = taken - self._seen_at == LONGEST_PERIOD
-        if taken == self._steps or (taken < self._steps and is_due):
+        is_before = taken < self._steps
+        is_last = taken == self._steps
+        if is_last or (is_before and is_due):
             self._see(taken)

@@ -227,7 +227,7 @@ class StepSequence:
         y: ndarray,
         times: ndarray,
         parameters: ndarray,
-        slope: bool = False,
+        by_drive: bool = False,
         samples: int = 0,
         coarse: bool = False,
     ) -> Strides:
@@ -236,7 +236,7 @@ class StepSequence:
         """
 
         def single(y: ndarray, durations: ndarray, parameters: ndarray) -> Stride:
-            return self.single(y, durations, parameters, slope, samples, coarse)
+            return self.single(y, durations, parameters, by_drive, samples, coarse)
 
         return self._of_single(single, y, times, parameters)
 

@@ -339,7 +339,7 @@ class StrideMap:
         y: Sections,
         times: Times,
         parameters: Parameters,
-        slope: bool = False,
+        by_drive: bool = False,
         samples: int = 0,
         coarse: bool = False,
     ) -> Stride:
@@ -353,7 +353,7 @@ class StrideMap:
             Initial guesses of the heelstrike time, or of (kneestrike, heelstrike).
         parameters : ndarray, shape (n_parameters, n)
             Slope, scale and the structure's constants.
-        slope : bool
+        by_drive : bool
             Also differentiate by the drive.
         samples : int
             Equal intervals of each phase at whose ends the motion is also returned.
@@ -366,11 +366,11 @@ class StrideMap:
             NaN in lanes whose integration failed.
         """
         m, n = y.shape
-        begin = self._begin(y, parameters, slope)
+        begin = self._begin(y, parameters, by_drive)
         # Along its motion nothing but the slope or a torque acts.
-        in_motion = slope and not self.by_push
+        in_motion = by_drive and not self.by_push
         fly = functools.partial(
-            _integrate, slope=in_motion, samples=samples, coarse=coarse
+            _integrate, by_drive=in_motion, samples=samples, coarse=coarse
         )
         flown, strike = self._fly(fly, begin, parameters, times, 3 + in_motion)
 
@@ -432,7 +432,9 @@ class StrideMap:
             NaN in lanes whose integration failed, and for all derivatives.
         """
         begin = self._begin_alone(y, parameters)
-        fly = functools.partial(_integrate, slope=False, samples=samples, coarse=False)
+        fly = functools.partial(
+            _integrate, by_drive=False, samples=samples, coarse=False
+        )
         flown, strike = self._fly(fly, begin, parameters, times, 0)
 
         end = flown[-1].end[:4]
@@ -521,7 +523,7 @@ class StrideMap:
         return _Phase(straight, state, D, of_straight, times[1] - times[0], 4)
 
     def _begin(
-        self, y: Sections, parameters: Parameters, slope: bool
+        self, y: Sections, parameters: Parameters, by_drive: bool
     ) -> tuple[States, np.ndarray]:
         """State just after heelstrike, and its derivatives by y and, where asked for,
         by the drive: it does not depend on the slope.
@@ -531,9 +533,11 @@ class StrideMap:
         values = self._apply(self._start, np.vstack([y, parameters]))
         D = values[size : size * (1 + m)].reshape(size, m, n)
 
-        if slope:
-            by_drive = values[size * (1 + m) :] if self.by_push else np.zeros((size, n))
-            D = np.concatenate([D, by_drive[:, None]], axis=1)
+        if by_drive:
+            last = np.zeros((size, n))
+            if self.by_push:
+                last = values[size * (1 + m) :]
+            D = np.concatenate([D, last[:, None]], axis=1)
 
         return values[:size], D
 
@@ -600,12 +604,12 @@ class StrideMap:
         }
 
 
-def _integrate(phase: _Phase, slope: bool, samples: int, coarse: bool) -> _Flown:
+def _integrate(phase: _Phase, by_drive: bool, samples: int, coarse: bool) -> _Flown:
     """Integrate a phase with its directions; the last direction is zero where it is not
     asked for.
     """
     size, directions, n = phase.D.shape
-    integrate = flow(phase.structure, directions, slope, coarse)
+    integrate = flow(phase.structure, directions, by_drive, coarse)
     # The flow has one direction after another, in each angles, then rates.
     columns = phase.D.transpose(1, 0, 2).reshape(-1, n)
     start = np.vstack([phase.state, columns])

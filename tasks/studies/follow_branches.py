@@ -15,11 +15,11 @@ from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.conditions import CONDITIONS, Condition
 from gaitsweep.tasks.branches.equations import slope_error
 from gaitsweep.tasks.branches.joint import evaluate
-from gaitsweep.tasks.branches.locate import locate_root
 from gaitsweep.tasks.branches.lockstep import run
 from gaitsweep.tasks.branches.normal_forms import normal_form
 from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.branches.sampling import chosen, within
+from gaitsweep.tasks.branches.segment import locate_root
 from gaitsweep.tasks.branches.special_points import RATES, record, special_points
 from gaitsweep.tasks.branches.tracking import correct
 from gaitsweep.tasks.contract import registry

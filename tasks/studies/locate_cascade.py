@@ -153,7 +153,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     options = registry.options("cascade", params)
     problem, unit = followed_over(params)
     near = _near(problem, params)
-    slope = np.sort(np.asarray(params["slope"], float)) / unit
+    slope = np.sort(params["slope"]) / unit
     if not len(slope):
         return {}
 
@@ -166,9 +166,8 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         first = _first_gaits(problem, near, inputs[0], slope, period, starts)
         found = _families(problem, first, slope, period, longest)
         families |= found
-        why = _no_family(period, slope * unit, problem)
-        if not found:
-            missing.append(why)
+        why = "" if found else _no_family(period, slope * unit, problem)
+        missing.append(why)
         rows += _accumulation_rows(period, found, why, unit)
 
     tables = _event_table(families, problem)

@@ -55,7 +55,7 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     parameters = start.parameters
     y = start.y
     assert y is not None
-    step = problem.step(y, guessed, parameters, slope=True)
+    step = problem.step(y, guessed, parameters, by_drive=True)
 
     walker = problem.walker
     mapped = _in_states(problem, y, step, parameters)

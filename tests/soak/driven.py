@@ -176,7 +176,7 @@ def exact(walker: Walker, slope: float, gait: dict[str, Any]) -> tuple[float, fl
     ends = [gait["kneestrike_time"] or np.nan, gait["period"]]
     times = np.array(ends)[-problem.phases :, None] / time
 
-    stride = problem.map(y / scale, times, problem.parameters(at, scale), slope=True)
+    stride = problem.map(y / scale, times, problem.parameters(at, scale), by_drive=True)
     start = Start(problem, 0, stride, y[:, 0] / scale, times[:, 0], drive, scale[0])
     found = solved(start, 1)
     return float(found.y[0]) * scale[0], float(found.times[-1]) * time

@@ -250,7 +250,7 @@ def in_113_bits(problem, drive, gait):
         y / scale,
         times,
         problem.parameters(at, scale),
-        slope=True,
+        by_drive=True,
     )
     start = Start(
         problem,

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.branches import locate
+from gaitsweep.tasks.branches import locate, segment
 from gaitsweep.tasks.branches.branch import Branch
-from gaitsweep.tasks.branches.locate import locate_root, settle_on_branches
+from gaitsweep.tasks.branches.locate import settle_on_branches
+from gaitsweep.tasks.branches.segment import locate_root
 from gaitsweep.tasks.branches.special_points import special_points
 from gaitsweep.tasks.contract import status
 from gaitsweep.tasks.contract.registry import GAITS, STATUSES
@@ -124,11 +125,11 @@ def test_a_gait_to_which_newton_jumps_from_its_branch_has_not_converged(monkeypa
     ):
         stray = other + off
 
-        def elsewhere(part, segment, test, stray=stray):
-            found = yield from locate_root(part, segment, test)
+        def elsewhere(part, number, test, stray=stray):
+            found = yield from locate_root(part, number, test)
             return replace(found, Z=stray, at=replace(found.at, Z=stray))
 
-        monkeypatch.setattr(locate, "locate_root", elsewhere)
+        monkeypatch.setattr(segment, "locate_root", elsewhere)
         monkeypatch.setattr(Branch, "lies_between", lies_between)
         guess = replace(good, w=stray[:-1] + 1e-3)
         assert settle(problem, guess).converged.all()

@@ -119,7 +119,7 @@ def test_the_exact_jacobian_is_the_difference_quotient(name):
         p = problem.parameters(slope, np.array([1.0]))
         t = times
         for _ in range(12):
-            s = problem.map(y, t, p, slope=True)
+            s = problem.map(y, t, p, by_drive=True)
             t = s.times
         return s
 
