@@ -15,6 +15,11 @@ _QUOTED = r'"(?:\\.|[^"\\\n])*"|' + r"'(?:\\.|[^'\\\n])*'"
 _IN_CODE = re.compile(rf"(?P<literal>{_QUOTED}|{_REGULAR})|[`{{}}]")
 _IN_TEXT = re.compile(r"\\.|`|\$\{", re.S)
 
+#: A statement that does nothing at the end of a block, whose semicolon is all of it;
+#: parentheses without others in them.
+_EMPTY = re.compile(r"(?<![.\w$])(?:(?:for|if|while|with)\([^()]*\)|else);}")
+_INNERMOST = re.compile(r"\([^()]*\)")
+
 #: After a block no line need end before another statement.
 _LINE_END = re.compile(r"}\n(?=function |class |if|for|const |let |})")
 
@@ -22,9 +27,27 @@ _LINE_END = re.compile(r"}\n(?=function |class |if|for|const |let |})")
 def minified(script: str) -> str:
     """A script in fewer bytes that does the same; its texts and regular expressions
     stay as they are.
+
+    Raises
+    ------
+    ValueError
+        If a block ends in an empty statement, which would be lost.
     """
-    pieces = _pieces(rjsmin.jsmin(script))
+    pieces = [*_pieces(rjsmin.jsmin(script))]
+    _check_statements("".join(piece if is_code else "0" for is_code, piece in pieces))
     return "".join(_shorter(piece) if is_code else piece for is_code, piece in pieces)
+
+
+def _check_statements(code: str) -> None:
+    """Refuse a script, without its literals, of which a block ends in an empty
+    statement.
+    """
+    previous = ""
+    while code != previous:
+        if found := _EMPTY.search(code):
+            raise ValueError(f"`{found[0]}` is an empty statement; write a block.")
+        # From within, so that in the end each head of a statement holds no other.
+        previous, code = code, _INNERMOST.sub("0", code)
 
 
 def _shorter(code: str) -> str:

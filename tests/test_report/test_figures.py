@@ -487,6 +487,8 @@ def test_a_codimension_two_point_of_two_curves_is_named_once(tmp_path):
     sketch = FIGURES["curves"](
         read(write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables))
     )
+    sketch.figure.draw_without_rendering()
+
     where = "fold-flip at detuning 0.15, slope 0.015 rad"
     assert any(f"Codimension-two points: {where}." in words for words in sketch.words)
     assert [words.get_text() for words in sketch.panels[0].texts] == ["fold-flip"]
@@ -507,6 +509,8 @@ def test_over_two_keys_a_codimension_two_point_lies_at_both(tmp_path):
     sketch = FIGURES["curves"](
         read(write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables))
     )
+
+    sketch.figure.draw_without_rendering()
 
     where = "cusp at detuning 0.15, R 0.25, slope 0.01 rad"
     assert any(f"Codimension-two points: {where}." in words for words in sketch.words)
@@ -1404,8 +1408,9 @@ def test_numbers_that_would_touch_on_a_narrow_page_are_left_out_there(tmp_path):
 
     crowded = re.findall(r'<g class="crowded"> *<text[^>]*>([^<]*)', figure.svg)
     shown = {text.strip() for text in re.findall(r"<text[^>]*>([^<]*)", figure.svg)}
-    assert [text.strip() for text in crowded] == ["0.2000", "0.6000", "1.0000"]
-    assert {"0.0", "0.2", "0.4", "0.6", "0.8", "1.0", "0.4000"} <= shown
+    # The first of the second panel would touch the last of the first.
+    assert [text.strip() for text in crowded] == ["0.0000", "0.4000", "0.8000"]
+    assert {"0.0", "0.2", "0.4", "0.6", "0.8", "1.0", "0.2000"} <= shown
 
 
 @pytest.mark.parametrize(("length", "is_wide"), [(10, False), (120, True)])
@@ -1419,6 +1424,19 @@ def test_a_figure_whose_words_would_leave_a_narrow_page_keeps_its_size(length, i
         )
 
     assert figure.is_wide == is_wide
+
+
+def test_a_legend_makes_no_figure_wide_as_narrow_pages_tell_it_below():
+    with style():
+        sketch = Sketch("diff", 200)
+        sketch.key("m" * 70)
+        sketch.draw_legend(set())
+        figure = render(
+            sketch.finish(pd.DataFrame(), variables="speed"), "diff", "s", False
+        )
+
+    assert "m" * 70 in figure.svg
+    assert not figure.is_wide
 
 
 def test_small_pictures_close_what_they_open():

@@ -11,16 +11,20 @@ from matplotlib.text import Text
 
 from gaitsweep.pipeline.report import html_tables, pages, paper
 from gaitsweep.pipeline.report.figures import FIGURES, bifurcation, landmarks
+from gaitsweep.pipeline.report.figures.degrees import add_degrees
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.stability import add_borders
 from gaitsweep.pipeline.report.figures.style import (
     COLOURS,
+    NARROW_SMALL_WORDS,
     PRINTED,
     VARIABLES,
     WALKERS,
     End,
     end_labels,
     inks,
+    once_laid_out,
+    set_heading,
     style,
     thin,
     write_clear,
@@ -222,10 +226,43 @@ def test_words_move_away_from_a_curve():
 
         words = [("0.0150", (0.5, 0.5)), ("0.016", (0.5, 0.8))]
         write_clear(axes, words, places)
+        sketch.figure.draw_without_rendering()
 
         boxes = _boxes(axes)
         assert not _touches(axes.lines[0], boxes["0.0150"])
         assert axes.texts[1].xyann == (10, 0)
+
+
+def test_places_of_words_are_sought_when_a_legend_has_taken_its_room():
+    with style():
+        sketch = Sketch("linear", 200)
+        (axes,) = sketch.panels
+        sizes = []
+        once_laid_out(axes, lambda: sizes.append(axes.bbox.height))
+        for k in range(12):
+            sketch.key(f"curve {k}")
+        sketch.draw_legend(set())
+
+        sketch.figure.draw_without_rendering()
+
+        assert sizes == [axes.bbox.height]
+        assert sizes[0] < 120
+
+
+def test_titles_of_panels_stand_above_their_numbers_in_degrees():
+    with style():
+        sketch = Sketch("linear", 200)
+        (axes,) = sketch.panels
+        axes.set_xlabel("slope γ (rad)")
+        set_heading(axes, "stance angle")
+        add_degrees(sketch.figure)
+
+        sketch.figure.draw_without_rendering()
+
+        title = next(t for t in axes.findobj(Text) if t.get_text() == "stance angle")
+        numbers = [t for t in axes.findobj(Text) if t.get_text().endswith("°")]
+        highest = max(number.get_window_extent().y1 for number in numbers)
+        assert title.get_window_extent().y0 > highest
 
 
 def test_two_foot_masses_of_the_paper_are_called_and_coloured_as_its_walkers(tmp_path):
@@ -417,8 +454,8 @@ def test_words_beside_a_point_stay_within_the_frame(place):
     assert frame.y0 <= box.y0 and box.y1 <= frame.y1
 
 
-@pytest.mark.parametrize("slope", [0.0705, 0.0995])
-def test_words_at_lines_across_a_panel_stay_within_its_frame(slope):
+@pytest.mark.parametrize("slope", [0.0705, 0.0765, 0.0935, 0.0995])
+def test_words_at_lines_across_a_panel_stay_within_its_frame_at_any_size(slope):
     row = {
         "walker": "C",
         "printed": 0.085,
@@ -435,9 +472,12 @@ def test_words_at_lines_across_a_panel_stay_within_its_frame(slope):
         landmarks.draw_over_slopes(axes, pd.DataFrame([row]))
 
         boxes = _boxes(axes)
+        on_left = {text.get_text(): text.get_ha() == "right" for text in axes.texts}
     frame = axes.get_window_extent()
-    for box in boxes.values():
-        assert frame.x0 <= box.x0 and box.x1 <= frame.x1
+    for words, box in boxes.items():
+        width = box.width * NARROW_SMALL_WORDS / 8
+        left = box.x1 - width if on_left[words] else box.x0
+        assert frame.x0 <= left and left + width <= frame.x1
 
 
 def test_the_number_of_a_point_stands_on_no_curve(tmp_path):

@@ -18,6 +18,7 @@ from gaitsweep.pipeline.report.figures.style import (
     MUTED,
     PAPER,
     SECOND,
+    set_title,
 )
 from gaitsweep.pipeline.report.source import Source
 from gaitsweep.pipeline.report.words import fill, plain
@@ -180,7 +181,8 @@ def _sketch(name: str, bodies: Collection[str], of_few: float) -> Sketch:
         axes.axis("off")
 
     for axes, walker in zip(sketch.panels, bodies, strict=False):
-        axes.set_title(
+        set_title(
+            axes,
             "\n".join(
                 textwrap.wrap(walker, 48 // across + 2, max_lines=3, placeholder="…")
             ),

@@ -23,6 +23,7 @@ from gaitsweep.pipeline.report.figures.style import (
     evenly,
     inks,
     set_heading,
+    set_title,
     thin,
     write_clear,
 )
@@ -231,7 +232,7 @@ def _draw_line(sketch: Sketch, source: Source, shown: _Branches, k: int) -> None
     if line.label and not shown.together:
         letter = f"({'abcdefghi'[k]}) " if shown.count > 1 else ""
         title = letter + shorten(line.label, 60 // min(shown.count, 3))
-        axes.set_title(title, fontsize=9, pad=4, loc="left")
+        set_title(axes, title, fontsize=9, pad=6, loc="left")
 
     _draw_runs(axes, shown.drawn[k], shown.inks[k], shown.along)
     for rows in shown.drawn[k]:

@@ -10,11 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from gaitsweep.pipeline.report.figures.style import MUTED, RULE, title_of
+from gaitsweep.pipeline.report.figures.style import MUTED, RULE, raise_titles, title_of
 from gaitsweep.pipeline.report.words import plain
 
 _UNIT = "(rad)"
 _MAX_INTERVALS = 5
+
+#: Size of the numbers, and the height of an axis above a panel [pt].
+_SIZE, _HEIGHT = 8, 13.5
 
 
 def add_degrees(figure: Figure) -> None:
@@ -63,5 +66,7 @@ def _add(axes: Axes, which: str, edge: str) -> None:
     getattr(second, f"set_{which}ticks")(
         ticks, [f"{plain(tick, 3)}°" for tick in ticks]
     )
-    second.tick_params(colors=MUTED, labelsize=8, length=2)
+    second.tick_params(colors=MUTED, labelsize=_SIZE, length=2)
     second.spines[edge].set(visible=True, color=RULE)
+    if edge == "top":
+        raise_titles(axes, _HEIGHT)

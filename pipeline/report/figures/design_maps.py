@@ -13,7 +13,12 @@ from matplotlib.ticker import MaxNLocator
 from gaitsweep.pipeline.report.figures.maps import draw_map
 from gaitsweep.pipeline.report.figures.sketch import Panel, Sketch
 from gaitsweep.pipeline.report.figures.starts import START, cells
-from gaitsweep.pipeline.report.figures.style import add_bar, choose_rows, on_map
+from gaitsweep.pipeline.report.figures.style import (
+    add_bar,
+    choose_rows,
+    on_map,
+    set_title,
+)
 from gaitsweep.pipeline.report.source import Source, rows_at
 from gaitsweep.pipeline.report.words import (
     SYMBOLS,
@@ -115,7 +120,7 @@ def _add_titles(sketch: Sketch, along: str) -> None:
     """Add titles of the columns of maps, of their axes, and their scales of colours."""
     for axes, mapped in zip(sketch.grid[0], MAPPED.values(), strict=True):
         # From the left, where lines stay one below the other at any size.
-        axes.set_title(fill(mapped.title, _TITLE), x=0, ha="left", pad=5)
+        set_title(axes, fill(mapped.title, _TITLE), x=0, ha="left", pad=5)
     for axes, column in zip(sketch.grid[-1], sketch.grid.T, strict=True):
         axes.set_xlabel(along)
         axes.xaxis.set_major_locator(MaxNLocator(5))

@@ -2,7 +2,8 @@
 rounding allows.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from matplotlib.axes import Axes
 from gaitsweep.pipeline.report.figures.sketch import Sketch
 from gaitsweep.pipeline.report.figures.style import (
     INK,
+    NARROW_SMALL_WORDS,
     PRINTED,
-    lay_out,
+    once_laid_out,
     write_at,
     write_clear,
 )
@@ -45,8 +47,9 @@ _BESIDE = (
     (16, -40, "left"),
 )
 
-#: Width of a letter of the words at lines across a panel, at most [pt].
-_WIDTH_OF_A_LETTER = 4.7
+#: Width of a letter of the words at lines across a panel, at most: on a narrow page,
+#: where they are larger [pt].
+_WIDTH_OF_A_LETTER = 0.59 * NARROW_SMALL_WORDS
 #: Walkers of exact parameters, whose slopes have the bracket in which they are located
 #: instead of what rounding allows.
 _EXACT = ("B", "D", "E", "F")
@@ -148,7 +151,11 @@ def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> None:
         axes.axvline(row.printed, color=PRINTED, lw=1.4, ls=(0, (5, 2)), zorder=3)
         axes.axvline(row.slope, color=INK, lw=0.8, ls=(0, (1, 2)), zorder=3)
 
-    lay_out(axes)
+    once_laid_out(axes, partial(_write_at_lines, axes, rows))
+
+
+def _write_at_lines(axes: Axes, rows: Sequence[Any]) -> None:
+    """Write printed and computed slopes beside their lines."""
     for row in rows:
         words = f"printed {as_printed(row.printed, row.half_unit)}"
         is_right = row.printed >= row.slope

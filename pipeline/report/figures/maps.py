@@ -25,6 +25,7 @@ from gaitsweep.pipeline.report.figures.style import (
     hatch,
     set_heading,
     set_log,
+    set_title,
 )
 from gaitsweep.pipeline.report.source import Source, rows_at
 from gaitsweep.pipeline.report.words import (
@@ -200,7 +201,7 @@ def _draw_cell_map(
     picture = draw_map(axes, values, shown)
     _draw_stability_border(axes, grids.get("spectral_radius"))
     title = ", ".join(filter(None, (f"{gait} step", maps.names[row])))
-    axes.set_title(shorten(title, 60 // len(maps.gaits)), pad=5)
+    set_title(axes, shorten(title, 60 // len(maps.gaits)), pad=5)
 
     named = (maps.down, maps.along, *maps.columns)
     fixed = {d: value for d, value in at.items() if source.grid.sizes[d] > 1}

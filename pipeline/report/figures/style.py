@@ -3,7 +3,7 @@
 import contextlib
 import itertools
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from textwrap import fill
@@ -16,7 +16,9 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.transforms import ScaledTranslation
 
 from gaitsweep.pipeline.report.words import axis_values, plain, shorten, superscript
 
@@ -95,6 +97,9 @@ _CLEAR_SIZE = 8.5
 #: Least distance of names at the ends of curves [pt].
 _GAP = 11
 
+#: Label of the artists that are titles of panels.
+_TITLE = "title of a panel"
+
 #: Largest number of marks drawn as vectors, and of points drawn of one curve.
 SHAPES, SAMPLES = 2000, 600
 
@@ -118,9 +123,41 @@ def style() -> Iterator[None]:
 
 def canvas(height: float) -> Figure:
     """An empty figure of that height [pt]; one display unit is one point."""
-    figure = Figure(figsize=(WIDTH / 72, height / 72), dpi=72, layout="constrained")
+    figure = Figure(figsize=(WIDTH / 72, height / 72), dpi=72, layout=_Layout())
     FigureCanvasSVG(figure)
     return figure
+
+
+class _Layout(ConstrainedLayoutEngine):
+    """Matplotlib's layout of panels, and of words whose places follow from those of
+    panels.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._waiting: list[Callable[[], None]] = []
+
+    def then(self, write: Callable[[], None]) -> None:
+        """Have words written after the panels were laid out."""
+        self._waiting.append(write)
+
+    def execute(self, figure: Figure) -> None:
+        """Lay out panels, then write the words that wait for their places."""
+        for axes in every_axes(figure):
+            for axis in (axes.xaxis, axes.yaxis):
+                if not axis.get_label_text():
+                    # Of no title the place would be found by measuring all numbers.
+                    axis.set_label_coords(0, 0)
+
+        super().execute(figure)
+        while self._waiting:
+            self._waiting.pop(0)()
+
+
+def every_axes(figure: Figure) -> list[Any]:
+    """Axes of a figure, and those within them."""
+    inner = [child for axes in figure.axes for child in axes.child_axes]
+    return [*figure.axes, *inner]
 
 
 def colour(k: int) -> str:
@@ -254,10 +291,12 @@ def write_at(
     )
 
 
-def lay_out(axes: Axes) -> None:
-    """Give the panels of a figure their places, from which those of words follow."""
+def once_laid_out(axes: Axes, write: Callable[[], None]) -> None:
+    """Have words written when the panels of a figure have their places, from which
+    those of the words follow.
+    """
     figure: Any = axes.figure
-    figure.get_layout_engine().execute(figure)
+    figure.get_layout_engine().then(write)
 
 
 def write_clear(
@@ -270,16 +309,16 @@ def write_clear(
     alignment) of their middle line in points, where they stand on no curve and within
     the frame; at the last if none is free.
     """
-    if not words:
-        return
-
-    lay_out(axes)
-    curves = _pixels_of_curves(axes)
-
     more: Any = {"fontsize": _CLEAR_SIZE, "va": "center", "bbox": None, **how}
-    for text, at in words:
-        right, up, aligned = _free_place(axes, text, at, places, curves)
-        write_at(axes, text, at, (right, up), ha=aligned, **more)
+
+    def write() -> None:
+        curves = _pixels_of_curves(axes)
+        for text, at in words:
+            right, up, aligned = _free_place(axes, text, at, places, curves)
+            write_at(axes, text, at, (right, up), ha=aligned, **more)
+
+    if words:
+        once_laid_out(axes, write)
 
 
 def _free_place(
@@ -369,7 +408,22 @@ def on_map(level: float, low: float, high: float) -> str:
 
 def set_heading(axes: Axes, text: str) -> None:
     """Write the title of the vertical axis horizontally above its end."""
-    axes.set_title(text, loc="left", pad=7)
+    set_title(axes, text, loc="left", pad=7)
+
+
+def set_title(axes: Axes, text: str, **how: Any) -> None:
+    """Write the title of a panel above its frame, in that place: where Matplotlib looks
+    for one, it measures all words of the axes at every layout.
+    """
+    axes.set_title(text, y=1, **how).set_label(_TITLE)
+
+
+def raise_titles(axes: Axes, points: float) -> None:
+    """Raise the titles of a panel, by what stands above its frame."""
+    up = ScaledTranslation(0, points / 72, axes.figure.dpi_scale_trans)
+    for artist in axes.get_children():
+        if artist.get_label() == _TITLE:
+            artist.set_transform(artist.get_transform() + up)
 
 
 def title_of(axes: Axes, side: str) -> str:
@@ -473,8 +527,12 @@ def end_labels(axes: Axes, ends: Sequence[End], side: str) -> None:
                 "arrowstyle": "-",
                 "color": end.ink,
                 "lw": 0.5,
+                # From the near edge of the name, which needs no search for a point of
+                # its border.
+                "patchA": None,
+                "relpos": (1 if side == "left" else 0, 0.5),
                 "shrinkA": 0,
-                "shrinkB": 2,
+                "shrinkB": 0,
             },
         )
         # Within the frame it takes no room, which is costly to find out.

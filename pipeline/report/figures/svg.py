@@ -25,6 +25,7 @@ from gaitsweep.pipeline.report.figures.style import (
     PAPER,
     SMALL_BELOW,
     VARIABLES,
+    every_axes,
     thin,
     title_of,
 )
@@ -137,28 +138,38 @@ def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
 
 def _mark_crowded(figure: Figure) -> None:
     """Mark those numbers of axes that would touch others on a narrow page, where they
-    are larger: it leaves them out.
+    are larger: it leaves them out. Panels side by side have their numbers in one row.
     """
-    every: list[Any] = [*figure.axes]
-    every += [inner for axes in figure.axes for inner in axes.child_axes]
-    for axes in every:
-        for k, axis in enumerate((axes.xaxis, axes.yaxis)):
-            last = -np.inf
-            for place, label in _numbers(axis, k):
-                size: float = NARROW_WORDS
-                if k == 0:
-                    size *= 0.62 * len(label.get_text())
-                if place - size / 2 < last + _APART:
-                    label.set_gid("crowded")
-                else:
-                    last = place + size / 2
+    for k in (0, 1):
+        rows: dict[int, list[tuple[float, Text]]] = {}
+        for axes in every_axes(figure):
+            for row, place, label in _numbers((axes.xaxis, axes.yaxis)[k], k):
+                rows.setdefault(row, []).append((place, label))
+
+        for numbers in rows.values():
+            _mark_in_row(sorted(numbers, key=lambda item: item[0]), k)
+
+
+def _mark_in_row(numbers: list[tuple[float, Text]], k: int) -> None:
+    """Mark those of a row or column of numbers that would touch one before."""
+    last = -np.inf
+    for place, label in numbers:
+        size: float = NARROW_WORDS
+        if k == 0:
+            size *= 0.62 * len(label.get_text())
+        if place - size / 2 < last + _APART:
+            label.set_gid("crowded")
+        else:
+            last = place + size / 2
 
 
 def _is_wide(svg: str, width: float) -> bool:
     """Whether words of a figure would leave it on a narrow page, where they are larger:
-    there it keeps its size, and is moved sideways.
+    there it keeps its size, and is moved sideways. The legend, which is drawn last, is
+    told below the figure there.
     """
-    for size, anchor, x, text in _WORDS.findall(svg):
+    drawn = svg.partition('<g class="told">')[0]
+    for size, anchor, x, text in _WORDS.findall(drawn):
         is_small = float(size) < SMALL_BELOW
         larger = NARROW_SMALL_WORDS if is_small else NARROW_WORDS
         long = 0.55 * larger * len(text.strip())
@@ -168,17 +179,19 @@ def _is_wide(svg: str, width: float) -> bool:
     return False
 
 
-def _numbers(axis: Axis, k: int) -> list[tuple[float, Text]]:
-    """The numbers of an axis that are seen, with the places of their middles along it."""
+def _numbers(axis: Axis, k: int) -> list[tuple[int, float, Text]]:
+    """The numbers of an axis that are seen, with the row that they are in and the
+    places of their middles along it.
+    """
     labels = axis.get_ticklabels() if axis.get_visible() and axis.axes.axison else []
     low, high = axis.axes.get_window_extent().get_points()[:, k]
     found = []
     for label in labels:
-        place = float(label.get_transform().transform(label.get_position())[k])
-        if label.get_text() and low - 1 <= place <= high + 1:
-            found.append((place, label))
+        place = label.get_transform().transform(label.get_position())
+        if label.get_text() and low - 1 <= place[k] <= high + 1:
+            found.append((round(place[1 - k]), float(place[k]), label))
 
-    return sorted(found, key=lambda item: item[0])
+    return found
 
 
 def _thumbnail(figure: Figure, salt: str) -> str:
@@ -202,6 +215,8 @@ def _coarsen(figure: Figure) -> None:
         if np.size(line.get_xdata()) > _MAX_DOTS and not line.get_rasterized():
             line.set_visible(False)
 
+    for words in figure.findobj(Text):
+        words.set_visible(False)
     for axes in figure.axes:
         for inset in axes.child_axes:
             inset.set_visible(False)
@@ -216,8 +231,7 @@ def _coarsen(figure: Figure) -> None:
 
 
 def _small(svg: str) -> str:
-    """A picture without the words, which are too small to read on the index."""
-    svg = re.sub(r"<text.*?</text>", "", svg, flags=re.S)
+    """A picture without what is not seen on the index."""
     svg = re.sub(
         r" data-line=\"\d+\"| clip-path=\"[^\"]*\"|; stroke-linecap: square|<clipPath.*?</clipPath>",
         "",
