@@ -274,15 +274,19 @@ class _Arrays:
             dtype = np.min_scalar_type(-int(values.max(initial=0)) - 1)
             absent = -1
 
-        constant = _CONSTANT.get(name, ())
-        along = [each for each in self.inner if each not in constant]
-        places = [self.inner[each][0] for each in along]
-        counts = [self.inner[each][1] for each in along]
+        dims = list(self.dims)
+        places = [self.case]
+        counts: list[int] = []
+        for inner, (place, count) in self.inner.items():
+            if inner not in _CONSTANT.get(name, ()):
+                dims.append(_RENAMED.get(inner, inner))
+                places.append(place)
+                counts.append(count)
+
         array = np.full((math.prod(self.sizes), *counts), absent, dtype)
-        array[(self.case, *places)] = values
-        inner = [_RENAMED.get(each, each) for each in along]
+        array[tuple(places)] = values
         shaped = array.reshape(*self.sizes, *counts)
-        self._variable(name, (*self.dims, *inner), shaped, described)
+        self._variable(name, tuple(dims), shaped, described)
 
     def _described(self, name: str) -> dict[str, str]:
         return _attributes(self.plan, self.group, name)
@@ -360,11 +364,9 @@ def meaning_of(name: str, group: str = "") -> tuple[str, str]:
     if name in kinds:
         own = EXTRA_AXES.get(name, f"walker's {name}")
 
-    kind, meaning = (
-        known.get(f"{group}/{name}")
-        or known.get(name)
-        or (kinds.get(name, "number"), "")
-    )
+    unknown = kinds.get(name, "number"), ""
+    of_any_group = known.get(name, unknown)
+    kind, meaning = known.get(f"{group}/{name}", of_any_group)
     return kind, meaning or own
 
 
