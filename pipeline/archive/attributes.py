@@ -73,7 +73,8 @@ def of_axis(name: str, checks: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     about["long_name"] = f"mixture of {start} (0) and {end} (1)"
     for at in (0, 1):
         tables = [way["tables"][at] for way in found]
-        about[f"walker_at_{at}"] = json.dumps(tables if len(tables) > 1 else tables[0])
+        whole = tables[0] if len(tables) == 1 else tables
+        about[f"walker_at_{at}"] = json.dumps(whole)
 
     return about
 
@@ -92,33 +93,35 @@ def of_dataset(study: Study) -> dict[str, Any]:
         "source": source,
         "references": PAPER,
     }
-    about |= {"accuracy": study.accuracy} if study.accuracy else {}
-    is_followed = study.drive and study.kind != "grid"
-    about |= {"along": study.drive} if is_followed else {}
-    meaning = (
-        f"gaits that repeat after {study.steps} steps: the state is that with the largest stance angle, period and "
-        f"losses are of all {study.steps} steps, a violation is the worst of them"
-    )
+    if study.accuracy:
+        about["accuracy"] = study.accuracy
+    if study.drive and study.kind != "grid":
+        about["along"] = study.drive
+    if study.steps > 1:
+        about["steps"] = np.int32(study.steps)
+        about["comment"] = (
+            f"gaits that repeat after {study.steps} steps: the state is that with the "
+            f"largest stance angle, period and losses are of all {study.steps} steps, a "
+            "violation is the worst of them"
+        )
 
-    return about | (
-        {"steps": np.int32(study.steps), "comment": meaning} if study.steps > 1 else {}
-    )
+    return about
 
 
 def over_steps(long_name: str, steps: int) -> str:
     """Meaning of a quantity of one step, for gaits that repeat after several."""
     if steps == 1:
         return long_name
+    of_all = long_name.replace("one step", f"{steps} steps")
     iterated = f"the {steps} times iterated step map's eigenvalues"
-    return long_name.replace("one step", f"{steps} steps").replace(
-        "the step map's eigenvalues", iterated
-    )
+    return of_all.replace("the step map's eigenvalues", iterated)
 
 
 def of_variable(variable: Variable, study: Study) -> dict[str, Any]:
     """CF attributes of a variable of a study."""
+    about: dict[str, Any] = {}
     if variable.name == VARIED:
-        about = of_axis(str(study.at["vary"]), study.checks)
+        about |= of_axis(str(study.at["vary"]), study.checks)
         return about | {"ancillary_variables": "status reason"}
 
     if variable.group == SENSITIVITIES:
@@ -126,37 +129,44 @@ def of_variable(variable: Variable, study: Study) -> dict[str, Any]:
         comment = f"in {unit} over the unit of each key: see key_units"
         return {"long_name": variable.long_name, "units": "1", "comment": comment}
 
-    attrs = units.described(
-        over_steps(variable.long_name, study.steps), variable.kind, study.checks
-    )
+    meaning = over_steps(variable.long_name, study.steps)
+    about |= units.described(meaning, variable.kind, study.checks)
     flags = {"status": ALL_STATUSES, "proved": PROVED}.get(variable.name)
     if flags is not None:
-        attrs |= {
-            "flag_values": np.array(list(flags.values()), np.int8),
-            "flag_meanings": " ".join(flags),
-        }
+        about["flag_values"] = np.array(list(flags.values()), np.int8)
+        about["flag_meanings"] = " ".join(flags)
     elif variable.name == "violations":
-        limits = violation_limits(study)
-        masks = np.array([1 << i for i in range(len(limits))], np.int32)
-        attrs |= {"flag_masks": masks, "flag_meanings": " ".join(limits)}
-        values = np.array(list(limits.values()))
-        units_of = "; ".join(f"{name}: {VIOLATIONS[name].unit}" for name in limits)
-        attrs |= {"flag_limits": values, "flag_limit_units": units_of}
+        about |= _flags_of_violations(study)
 
     if variable.name not in ("status", "reason"):
-        attrs["ancillary_variables"] = "status reason"
-    return attrs
+        about["ancillary_variables"] = "status reason"
+    return about
+
+
+def _flags_of_violations(study: Study) -> dict[str, Any]:
+    """Attributes of the bits of violations: names, limits and units of these."""
+    limits = violation_limits(study)
+    masks = [1 << bit for bit in range(len(limits))]
+    of_limits = [f"{name}: {VIOLATIONS[name].unit}" for name in limits]
+    return {
+        "flag_masks": np.array(masks, np.int32),
+        "flag_meanings": " ".join(limits),
+        "flag_limits": np.array(list(limits.values())),
+        "flag_limit_units": "; ".join(of_limits),
+    }
 
 
 def violation_limits(study: Study) -> dict[str, float]:
     """Limit of every violation up to the last that the study's walkers may have, by name
     in the order of their bits.
     """
-    may_have = [
-        number
-        for number, v in enumerate(VIOLATIONS.values())
-        if not all(VARIABLES[name].is_left_out(study.features) for name in v.amounts)
-    ]
-    every = list(VIOLATIONS.values())[: max(may_have) + 1]
-    limits = {v.name: v.limit for v in every}
+    limits: dict[str, float] = {}
+    count = 0
+    for violation in VIOLATIONS.values():
+        limits[violation.name] = violation.limit
+        amounts = [VARIABLES[name] for name in violation.amounts]
+        if not all(amount.is_left_out(study.features) for amount in amounts):
+            count = len(limits)
+
+    limits = dict([*limits.items()][:count])
     return limits | study.options.get("violation_limits", {})

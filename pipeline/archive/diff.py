@@ -54,7 +54,10 @@ class Tolerance:
             y = y.astype(str)
 
         unequal = np.count_nonzero(x != y)
-        return [f"`{name}`: {unequal:,} of {x.size:,} differ"] if unequal else []
+        if not unequal:
+            return []
+
+        return [f"`{name}`: {unequal:,} of {x.size:,} differ"]
 
     @np.errstate(invalid="ignore", divide="ignore", over="ignore")
     def difference(
@@ -90,7 +93,9 @@ class Tolerance:
         beyond = np.count_nonzero(difference > self.own.get(name, self.rtol))
         by = []
         if beyond:
-            unit = "" if self._is_absolute(name) else " of their size"
+            unit = " of their size"
+            if self._is_absolute(name):
+                unit = ""
             by.append(f"by up to {np.nanmax(difference):.2g}{unit}")
 
         if absent:
@@ -160,7 +165,7 @@ def diff(
     """
     tolerance = Tolerance(rtol, own or {})
     with open_archive(a) as left, open_archive(b) as right:
-        names = {name for file in (left, right) for name, _ in layout.variables(file)}
+        names = {*dict(layout.variables(left)), *dict(layout.variables(right))}
         for name in sorted(tolerance.own.keys() - names):
             raise ArchiveError(f"Neither {a} nor {b} holds `{name}`.")
 
@@ -397,11 +402,10 @@ def _matching_rows(
     if not all("row" in table.sizes and along in table for table in (x, y)):
         return rows
 
-    p, q = (
-        np.unique(table[along].values[kept])
-        for table, kept in zip((x, y), rows, strict=True)
-    )
-    if not np.array_equal(p, q):
+    of_x, of_y = rows
+    places = np.unique(x[along].values[of_x])
+    others_places = np.unique(y[along].values[of_y])
+    if not np.array_equal(places, others_places):
         return rows
 
     return _rows(x, shared, along), _rows(y, shared, along)
@@ -416,7 +420,10 @@ def _rows(
     what they lie along.
     """
     names = sorted(set(shared) & set(table.data_vars), reverse=True)
-    order = [*names, along] if along else names
+    order = list(names)
+    if along:
+        order.append(along)
+
     columns = {name: table[name].values for name in order}
     rows = pd.DataFrame(columns, np.arange(table.sizes.get("row", 0)))
     for name in names:

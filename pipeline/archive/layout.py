@@ -41,8 +41,13 @@ def variables(parent: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 def tables(file: Any) -> list[str]:
     """Names of the tables in an open archive, as "fits/scaling"."""
-    names = [column.rpartition("/")[0] for column, _ in variables(file)]
-    return list(dict.fromkeys(name for name in names if name))
+    names: dict[str, None] = {}
+    for column, _ in variables(file):
+        table, slash, _ = column.rpartition("/")
+        if slash:
+            names[table] = None
+
+    return list(names)
 
 
 def split(
@@ -67,10 +72,11 @@ def split(
     part : ndarray
         Its values; at the end of the variable they are fewer than `extent`.
     """
-    inner = values.ndim - len(box)
-    start = [span.start for span in box] + [0] * inner
+    start = [span.start for span in box]
+    start += [0] * (values.ndim - len(box))
+
     sizes = {str(k): n for k, n in enumerate(values.shape)}
-    for part in boxes(sizes, extent, 0):
+    for part in boxes(sizes, extent, points=0):
         corner = []
         for begin, span in zip(start, part, strict=True):
             corner.append(begin + span.start)
@@ -105,7 +111,8 @@ def checksum(values: ndarray) -> int:
     int
     """
     if values.dtype.kind in "OU":
-        text = "\0".join(values.ravel().tolist())
-        return zlib.crc32(text.encode())
+        texts = values.ravel().tolist()
+        return zlib.crc32("\0".join(texts).encode())
+
     flat = np.ascontiguousarray(values).reshape(-1)
     return zlib.crc32(flat.view(np.uint8).data)

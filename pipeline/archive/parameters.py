@@ -14,6 +14,11 @@ from gaitsweep.pipeline.archive.written import write_variable
 from gaitsweep.pipeline.study import units
 from gaitsweep.pipeline.study.model import Definition, Study
 
+_OFFSET = (
+    "where the walker is tuned to rounding, the double nearest the offset that tunes it "
+    "exactly, as it is solved"
+)
+
 
 def write(file: Any, study: Study) -> None:
     """Write every parameter of the study's walkers that is not an axis itself.
@@ -26,10 +31,11 @@ def write(file: Any, study: Study) -> None:
 
     Notes
     -----
-    A parameter that the walkers of a study do not share is a variable along `walker`, one that axes such as `detuning`
-    move, or that is tuned anew along them, is one along these; so `ds.where(ds.R >
-    0.2)` selects by either. All others are global attributes under their own names.
-    Exact offsets of tuned walkers are in the attribute `exact_offsets`.
+    A parameter that the walkers of a study do not share is a variable along `walker`,
+    one that axes such as `detuning` move, or that is tuned anew along them, is one along
+    these; so `ds.where(ds.R > 0.2)` selects by either. All others are global attributes
+    under their own names. Exact offsets of tuned walkers are in the attribute
+    `exact_offsets`.
     """
     axes = {axis.name: axis.values for axis in study.line_axes}
     tables = [check["table"] for check in study.checks]
@@ -51,7 +57,10 @@ def _constant_along_lines(study: Study) -> list[str]:
     """Keys of walkers but for those that are varied until gaits have the values wanted
     of them.
     """
-    sought = {key for check in study.checks for key in check.get("sought", ())}
+    sought: set[str] = set()
+    for check in study.checks:
+        sought.update(check.get("sought", ()))
+
     numbers = dispatch.resolve("gaitsweep.tasks.walkers.walker:NUMBERS")
     return [key for key in numbers if key not in sought]
 
@@ -61,10 +70,9 @@ def described(
 ) -> dict[str, str]:
     """CF attributes of a parameter, which axes may move."""
     about = units.described(f"walker's {key}", units.kinds()[key], checks)
-    return about | ({"comment": _OFFSET} if is_moved and key in ("w_t", "w_s") else {})
-
-
-_OFFSET = "where the walker is tuned to rounding, the double nearest the offset that tunes it exactly, as it is solved"
+    if is_moved and key in ("w_t", "w_s"):
+        about["comment"] = _OFFSET
+    return about
 
 
 def exact_offsets(
@@ -91,13 +99,12 @@ def exact_offsets(
         `exact_offsets`, JSON: decimal numbers by key, by walker where there are
         several. Empty without such walkers.
     """
-    if {*varying} & {*dispatch.resolve("gaitsweep.tasks.walkers.statics:CONDITIONED")}:
+    conditioned = dispatch.resolve("gaitsweep.tasks.walkers.statics:CONDITIONED")
+    if not {*varying}.isdisjoint(conditioned):
         return {}
 
-    walker, exact = (
-        dispatch.resolve(f"gaitsweep.tasks.walkers.{name}")
-        for name in ("walker:Walker", "exact:exact_offsets")
-    )
+    walker = dispatch.resolve("gaitsweep.tasks.walkers.walker:Walker")
+    exact = dispatch.resolve("gaitsweep.tasks.walkers.exact:exact_offsets")
     found = [exact(walker(**table)) for table in tables]
     if not any(found):
         return {}
@@ -116,11 +123,12 @@ def _on_grid(
     """A walker's parameter at every point of a grid of axes, flattened; NaN where it
     cannot be tuned.
     """
-    grid = [
-        values.ravel().astype(float)
-        for values in np.meshgrid(*map(np.asarray, axes.values()), indexing="ij")
-    ]
-    return of_walkers(walker, key, dict(zip(axes, grid, strict=True)))
+    grid = np.meshgrid(*map(np.asarray, axes.values()), indexing="ij")
+    changes = {}
+    for name, values in zip(axes, grid, strict=True):
+        changes[name] = values.ravel().astype(float)
+
+    return of_walkers(walker, key, changes)
 
 
 def _movers(study: Study, key: str, axes: Iterable[str]) -> tuple[str, ...]:
@@ -163,8 +171,7 @@ def of_walkers(walker: Definition, key: str, changes: Mapping[str, Any]) -> np.n
     """A parameter of a walker with n values of keys, (n,), and others that all share;
     NaN where it cannot be tuned.
     """
-    walkers = dispatch.resolve("gaitsweep.tasks.walkers.resolve:resolve_many")(
-        walker, changes
-    )
+    resolve = dispatch.resolve("gaitsweep.tasks.walkers.resolve:resolve_many")
+    walkers = resolve(walker, changes)
     n = max(np.size(value) for value in changes.values())
     return np.broadcast_to(getattr(walkers, key), n)

@@ -55,26 +55,29 @@ class PointWriter:
         self.chunk = self.grid.extent
         self._same = functools.lru_cache(256)(self._pack_same)
         self._unfinished = functools.lru_cache(256)(self._pack_ending)
-        self.columns = [GAITS.index(g) for g in self.study.gaits]
-        others_wanted = "other" in " ".join(self.study.gaits) and len(
-            self.study.gaits
-        ) < len(GAITS)
-        self._is_solved = np.array(
-            [others_wanted or not GAITS[c].startswith("other") for c in self.columns]
-        )
+
+        gaits = self.study.gaits
+        are_others = np.array([gait.startswith("other") for gait in gaits])
+        self.columns = [GAITS.index(gait) for gait in gaits]
+        # Of other gaits those that some point has, unless some of them are asked for.
+        self._is_solved = ~are_others
+        if are_others.any() and len(gaits) < len(GAITS):
+            self._is_solved[:] = True
+
         self._texts: dict[int, str] = {}
         for chunk, key in self._chunks():
             self._survey(chunk, key)
+
         self.sentences = Sentences(self._texts)
-        self.columns = self.columns[
-            : max(np.flatnonzero(self._is_solved), default=0) + 1
-        ]
+        last = np.flatnonzero(self._is_solved).max(initial=0)
+        self.columns = self.columns[: last + 1]
         self.dims = (*self.grid.sizes, "gait")
 
     def _chunks(self) -> Iterator[tuple[Chunk, str]]:
         for number in range(self.grid.chunks):
             self.plan.check()
-            yield (chunk := self.grid.chunk(number)), self.plan.graph.chunk_key(chunk)
+            chunk = self.grid.chunk(number)
+            yield chunk, self.plan.graph.chunk_key(chunk)
 
     def _survey(self, chunk: Chunk, key: str) -> None:
         """Count the points of a chunk, and note its sentences and the gaits that it
@@ -89,27 +92,33 @@ class PointWriter:
         self.written.counts += count(rows, STATUS_NAMES)
         self._is_solved |= np.isin(list(rows), OF_GAITS).any(axis=0)
         self._texts |= sentences
-        if head.has_failed(self.columns):
-            is_one = len(rows) == len(sentences) == 1  # as where nothing was computed
-            only = ((sentence, chunk.points, 0) for sentence in sentences.values())
-            for reason, points, first in only if is_one else self._failures(key):
-                line, k = divmod(first, chunk.per_line)
-                value = float(self.study.values_along[chunk.slopes][k])
-                described = line_description(self.study, int(chunk.numbers[line]))
-                example = f"{described} {self.study.along}={value!r}"
-                self.written.add_failure(reason, points, example)
+        if not head.has_failed(self.columns):
+            return
+
+        if len(rows) == len(sentences) == 1:  # as where nothing was computed
+            (reason,) = sentences.values()
+            failures = [(reason, chunk.points, 0)]
+        else:
+            failures = [*self._failures(key)]
+
+        for reason, points, first in failures:
+            line, k = divmod(first, chunk.per_line)
+            value = float(self.study.values_along[chunk.slopes][k])
+            described = line_description(self.study, int(chunk.numbers[line]))
+            example = f"{described} {self.study.along}={value!r}"
+            self.written.add_failure(reason, points, example)
 
     def _failures(self, key: str) -> Iterator[tuple[str, int, int]]:
         """Reasons for which points of a chunk failed, how many, and the first of them."""
         points = self.plan.store.points(key)
         failed = ~np.isin(points.values["status"][:, self.columns], ANSWERS)
         rows = np.flatnonzero(failed.any(axis=1))
-        reasons = points.values["reason"][:, self.columns][
-            rows, failed[rows].argmax(axis=1)
-        ]
+        first_failed = failed[rows].argmax(axis=1)
+        reasons = points.values["reason"][:, self.columns][rows, first_failed]
         for number in np.unique(reasons):
-            own = rows[reasons == number]
-            yield points.sentences[int(number)], len(own), int(own[0])
+            of_reason = rows[reasons == number]
+            sentence = points.sentences[int(number)]
+            yield sentence, len(of_reason), int(of_reason[0])
 
     def _record(self, chunk: Chunk, key: str) -> Record:
         """Record of a chunk; of one that is not stored, why it is not."""
@@ -125,13 +134,10 @@ class PointWriter:
         return self._unfinished(chunk.shape, atlas.status, of_atlas(atlas.reason))
 
     def _pack_ending(self, shape: Shape, ending: str, reason: str) -> Record:
-        codec = ChunkCodec(
-            shape, self.grid.multipliers, self.study.gaits, keys=self.grid.keys
-        )
-        variables = self.plan.graph.variables
-        return codec.encode(
-            Points.of_ending(math.prod(shape.sizes), ending, reason, variables)
-        )
+        grid, variables = self.grid, self.plan.graph.variables
+        codec = ChunkCodec(shape, grid.multipliers, self.study.gaits, keys=grid.keys)
+        count = math.prod(shape.sizes)
+        return codec.encode(Points.of_ending(count, ending, reason, variables))
 
     def define(self, file: Any) -> None:
         """Create every variable, without values."""
@@ -139,10 +145,9 @@ class PointWriter:
         file.createDimension("gait", len(self.columns))
         if any("key" in VARIABLES[name].dims for name in names):
             self._define_keys(file)
-        write_strings(
-            file, "gait", "gait", [GAITS[c] for c in self.columns], attributes.GAIT
-        )
-        if any(has_multipliers(n) for n in names):
+        gaits = [GAITS[column] for column in self.columns]
+        write_strings(file, "gait", "gait", gaits, attributes.GAIT)
+        if any(has_multipliers(name) for name in names):
             file.createDimension("multiplier", multipliers)
             numbers = np.arange(multipliers, dtype=np.int32)
             write_variable(
@@ -150,20 +155,30 @@ class PointWriter:
             )
 
         for name in names:
-            description = VARIABLES[name]
-            variable = file.createVariable(
-                self.study.archived(name),
-                self.sentences.dtype if name == "reason" else description.dtype,
-                (*self.grid.sizes, *description.dims),
-                **layout.FILTERS,
-                **_quantization(description, self.study.accuracy),
-                # For one gait: which trailing gaits are absent is known only once all
-                # points are.
-                chunksizes=(*self.chunk, 1, *self._inner(name)),
-                fill_value=np.nan if description.dtype == "f8" else False,
-            )
-            self.dtypes[name] = variable.dtype
-            attributes.put(variable, attributes.of_variable(description, self.study))
+            self._define_variable(file, name)
+
+    def _define_variable(self, file: Any, name: str) -> None:
+        description = VARIABLES[name]
+        dtype: Any = description.dtype
+        fill: Any = False
+        if name == "reason":
+            dtype = self.sentences.dtype
+        elif dtype == "f8":
+            fill = np.nan
+
+        variable = file.createVariable(
+            self.study.archived(name),
+            dtype,
+            (*self.grid.sizes, *description.dims),
+            **layout.FILTERS,
+            **_quantization(description, self.study.accuracy),
+            # For one gait: which trailing gaits are absent is known only once all
+            # points are.
+            chunksizes=(*self.chunk, 1, *self._inner(name)),
+            fill_value=fill,
+        )
+        self.dtypes[name] = variable.dtype
+        attributes.put(variable, attributes.of_variable(description, self.study))
 
     def _inner(self, name: str) -> tuple[int, ...]:
         """Sizes of the dimensions of a variable after the gait."""
@@ -202,31 +217,26 @@ class PointWriter:
         """
         # What it says of every point must be readable, whatever its checksum.
         head.unpack(payload, "status")
-        pieces, reasons = (
-            dict[tuple[str, int], Packed](),
-            self.sentences.renumbered(head.unpack(payload, "reason")),
-        )
-        for name, (g, column) in itertools.product(
-            self.dtypes, enumerate(self.columns)
-        ):
+        reasons = self.sentences.renumbered(head.unpack(payload, "reason"))
+
+        pieces: dict[tuple[str, int], Packed] = {}
+        gaits = [*enumerate(self.columns)]
+        for name, (g, column) in itertools.product(self.dtypes, gaits):
             if name == "reason":
-                pieces[name, g] = pack_values(
-                    shape.unfold(reasons[:, column]), self.chunk
-                )
+                values = shape.unfold(reasons[:, column])
+                piece: Packed | None = pack_values(values, self.chunk)
             else:
-                pieces[name, g] = head.piece(payload, name, column) or self._same(
-                    name, shape.sizes
-                )
+                piece = head.piece(payload, name, column)
+            pieces[name, g] = piece or self._same(name, shape.sizes)
 
         return pieces
 
     def _pack_same(self, name: str, sizes: tuple[int, ...]) -> Packed:
         """Piece of a chunk that holds no gait."""
         more = self._inner(name)
-        return pack_values(
-            np.full((*sizes, *more), VARIABLES[name].absent, self.dtypes[name]),
-            (*self.chunk, *more),
-        )
+        absent = VARIABLES[name].absent
+        values = np.full((*sizes, *more), absent, self.dtypes[name])
+        return pack_values(values, (*self.chunk, *more))
 
 
 def _quantization(variable: Variable, accuracy: float) -> dict[str, Any]:

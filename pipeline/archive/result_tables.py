@@ -143,29 +143,33 @@ def split(table: Mapping[str, np.ndarray]) -> dict[str, Columns]:
     """
     groups: dict[str, Columns] = {}
     for name, values in table.items():
-        group, _, column = name.rpartition("/")
-        if (
-            not re.fullmatch(r"\w+(/\w+)?", group)
-            or not re.fullmatch(r"\w+", column)
-            or np.ndim(values) != 1
-        ):
+        if not re.fullmatch(r"(\w+/)?\w+/\w+", name) or np.ndim(values) != 1:
             raise ValueError(f"`{name}` is no column of a table")
+        group, _, column = name.rpartition("/")
         groups.setdefault(group, {})[column] = values
 
     for group, columns in groups.items():
-        if len({len(v) for v in columns.values()}) > 1:
+        lengths = set(map(len, columns.values()))
+        if len(lengths) > 1:
             raise ValueError(f"columns of `{group}` differ in length")
 
     return groups
 
 
 def _repeat(coordinates: Mapping[str, Any], columns: Columns) -> Columns:
-    n = len(next(iter(columns.values())))
-    return {
-        name: np.full(n, value)
-        for name, value in coordinates.items()
-        if name not in columns
-    }
+    """Coordinates that are no columns of a table, at each of its rows."""
+    rows = _rows(columns)
+    repeated = {}
+    for name, value in coordinates.items():
+        if name not in columns:
+            repeated[name] = np.full(rows, value)
+
+    return repeated
+
+
+def _rows(columns: Columns) -> int:
+    """Number of rows of a table."""
+    return len(next(iter(columns.values())))
 
 
 def _stack(parts: Sequence[Columns]) -> Columns:
@@ -175,14 +179,15 @@ def _stack(parts: Sequence[Columns]) -> Columns:
     absent: dict[str, str | float] = {}
     for part in parts:
         for name, values in part.items():
-            absent[name] = "" if values.dtype.kind == "U" else np.nan
+            absent[name] = np.nan
+            if values.dtype.kind == "U":
+                absent[name] = ""
 
     stacked = {}
     for name, nothing in absent.items():
         columns = []
         for part in parts:
-            rows = len(next(iter(part.values())))
-            missing = np.full(rows, nothing)
+            missing = np.full(_rows(part), nothing)
             columns.append(part.get(name, missing))
         stacked[name] = np.concatenate(columns)
 
@@ -196,17 +201,16 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
         return
 
     netcdf_group = file.createGroup(group)
-    netcdf_group.createDimension("row", len(next(iter(columns.values()))))
+    netcdf_group.createDimension("row", _rows(columns))
     for name, values in columns.items():
         attributes = _attributes(plan, group, name)
         if values.dtype.kind == "U":
             write_strings(netcdf_group, name, "row", values.tolist(), attributes)
             continue
 
-        options = {
-            "fill_value": np.nan if values.dtype.kind == "f" else False,
-            **layout.filters(len(values)),
-        }
+        options: dict[str, Any] = {**layout.filters(len(values))}
+        if values.dtype.kind == "f":
+            options["fill_value"] = np.nan
         write_variable(netcdf_group, name, ("row",), values, attributes, **options)
 
 
@@ -270,15 +274,19 @@ class _Arrays:
             dtype = np.min_scalar_type(-int(values.max(initial=0)) - 1)
             absent = -1
 
-        constant = _CONSTANT.get(name, ())
-        along = [each for each in self.inner if each not in constant]
-        places = [self.inner[each][0] for each in along]
-        counts = [self.inner[each][1] for each in along]
+        dims = list(self.dims)
+        places = [self.case]
+        counts: list[int] = []
+        for inner, (place, count) in self.inner.items():
+            if inner not in _CONSTANT.get(name, ()):
+                dims.append(_RENAMED.get(inner, inner))
+                places.append(place)
+                counts.append(count)
+
         array = np.full((math.prod(self.sizes), *counts), absent, dtype)
-        array[(self.case, *places)] = values
-        inner = [_RENAMED.get(each, each) for each in along]
+        array[tuple(places)] = values
         shaped = array.reshape(*self.sizes, *counts)
-        self._variable(name, (*self.dims, *inner), shaped, described)
+        self._variable(name, tuple(dims), shaped, described)
 
     def _described(self, name: str) -> dict[str, str]:
         return _attributes(self.plan, self.group, name)
@@ -290,12 +298,12 @@ class _Arrays:
         values: np.ndarray,
         attributes: dict[str, Any],
     ) -> None:
-        group = self.netcdf_group
-        fill = np.nan if values.dtype.kind == "f" and name not in dims else False
-        filters = _FILTERS if values.size and dims else {}
-        write_variable(
-            group, name, dims, values, attributes, fill_value=fill, **filters
-        )
+        options: dict[str, Any] = {}
+        if values.size and dims:
+            options |= _FILTERS
+        if values.dtype.kind == "f" and name not in dims:
+            options["fill_value"] = np.nan
+        write_variable(self.netcdf_group, name, dims, values, attributes, **options)
 
 
 def _flags(words: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
@@ -356,11 +364,9 @@ def meaning_of(name: str, group: str = "") -> tuple[str, str]:
     if name in kinds:
         own = EXTRA_AXES.get(name, f"walker's {name}")
 
-    kind, meaning = (
-        known.get(f"{group}/{name}")
-        or known.get(name)
-        or (kinds.get(name, "number"), "")
-    )
+    unknown = kinds.get(name, "number"), ""
+    of_any_group = known.get(name, unknown)
+    kind, meaning = known.get(f"{group}/{name}", of_any_group)
     return kind, meaning or own
 
 
@@ -375,17 +381,14 @@ def _of_drive(drive: str, kind: str, meaning: str) -> tuple[str, str]:
 
 def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     """Attributes of a column."""
-    if group == "overlay" and name.endswith("_error"):
-        measured = _attributes(plan, group, name.removesuffix("_error"))
-        return {
-            **measured,
-            "long_name": f"standard error of the measured {measured['long_name']}",
-        }
-
-    if group == "measured_gaits" and name.endswith("_error"):
-        computed = _attributes(plan, group, name.removesuffix("_error"))
-        meaning = computed["long_name"]
-        return {**computed, "long_name": f"bound on the error of the {meaning}"}
+    of_errors = {
+        "overlay": "standard error of the measured",
+        "measured_gaits": "bound on the error of the",
+    }
+    if group in of_errors and name.endswith("_error"):
+        attributes = _attributes(plan, group, name.removesuffix("_error"))
+        meaning = attributes["long_name"]
+        return {**attributes, "long_name": f"{of_errors[group]} {meaning}"}
 
     study = plan.study
     kind, meaning = meaning_of(name, group)

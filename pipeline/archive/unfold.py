@@ -53,12 +53,14 @@ def table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
     if any(variable.ndim > 1 for variable in variables.values()):
         frame = _unfolded(dataset, grid)
     else:
-        columns = {}
-        for name, variable in variables.items():
-            if variable.ndim == 1:
-                columns[str(name)] = variable.values
+        columns = {
+            str(name): column for name, column in variables.items() if column.ndim == 1
+        }
         rows = max(map(len, columns.values()), default=0)
-        whole = {name: c for name, c in columns.items() if len(c) == rows}
+        whole = {}
+        for heading, column in columns.items():
+            if len(column) == rows:
+                whole[heading] = column.values
         frame = pd.DataFrame(whole)
 
     for what, attribute in (("units", "units"), ("meanings", "long_name")):
@@ -74,10 +76,12 @@ def _unfolded(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
     """Turn arrays of a group into rows again, flags into words; rows without a number
     or a flag are left out.
     """
-    dims = max((v.dims for v in dataset.variables.values()), key=len)
+    dims = max((column.dims for column in dataset.variables.values()), key=len)
     frame = _frame(dataset, grid, dims)
+    coordinates = [str(dim) for dim in dims]
+
     empty = np.ones(len(frame), bool)
-    for name in frame.columns.difference([str(d) for d in dims]):
+    for name in frame.columns.difference(coordinates):
         values = frame[name].to_numpy()
         if values.dtype.kind == "f":
             empty &= np.isnan(values)
@@ -98,8 +102,12 @@ def _frame(
     dims: tuple[Any, ...],
 ) -> pd.DataFrame:
     """A row for each element of the arrays of a group, with its coordinates."""
-    of_lines = [d for d in dims if d in grid.coords and d not in dataset.coords]
-    whole = dataset.assign_coords({d: grid[d] for d in of_lines})
+    of_lines = {}
+    for dim in dims:
+        if dim in grid.coords and dim not in dataset.coords:
+            of_lines[dim] = grid[dim]
+    whole = dataset.assign_coords(of_lines)
+
     beside = []
     for name, variable in whole.data_vars.items():
         if not set(variable.dims) <= set(dims):

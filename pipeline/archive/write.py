@@ -161,7 +161,9 @@ def _target(path: Path) -> Path:
     """The file to replace, or a link's target; otherwise as given: the folder may have
     any name.
     """
-    return path.resolve() if path.is_symlink() else path
+    if path.is_symlink():
+        return path.resolve()
+    return path
 
 
 def _write(plan: Plan, draft: Path) -> Written:
@@ -331,8 +333,10 @@ class _LineWriter:
     def _outcome(self, keys: dict[str, str]) -> tuple[str, str]:
         # Of a study whose own result is known, the atlas may be lost, or never have
         # been needed.
-        is_known = keys[self.study.kind] in self.plan.store
-        for name in (self.study.kind,) if is_known else ("atlas", self.study.kind):
+        tasks = ["atlas", self.study.kind]
+        if keys[self.study.kind] in self.plan.store:
+            tasks.remove("atlas")
+        for name in tasks:
             if name not in keys:
                 continue
 
@@ -340,8 +344,9 @@ class _LineWriter:
             if outcome is None:
                 return "not_attempted", NOT_ATTEMPTED
             if outcome.status != "ok":
-                is_atlas = name == "atlas"
-                reason = of_atlas(outcome.reason) if is_atlas else outcome.reason
+                reason = outcome.reason
+                if name == "atlas":
+                    reason = of_atlas(reason)
                 return outcome.status, reason
 
         result = self.plan.store.result(keys[self.study.kind])
@@ -354,13 +359,8 @@ class _LineWriter:
     def define(self, file: Any) -> None:
         """Create and write every variable."""
         for name, values in (("status", self.status), ("reason", self.reason)):
-            write_variable(
-                file,
-                name,
-                self.dims,
-                values,
-                attributes.of_variable(VARIABLES[name], self.study),
-            )
+            about = attributes.of_variable(VARIABLES[name], self.study)
+            write_variable(file, name, self.dims, values, about)
 
     def fill(self, draft: Path) -> None:
         """Do nothing: all values are written by `define`."""

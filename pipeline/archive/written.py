@@ -39,12 +39,15 @@ class Sentences:
 
     def __init__(self, texts: Mapping[int, str]):
         self.texts = sorted(set(texts.values()))
-        places = {text: place for place, text in enumerate(self.texts)}
-        self.dtype = np.dtype("i4" if len(places) > np.iinfo(np.int16).max else "i2")
-        self._known = np.array(sorted(texts), np.uint64)
-        self._places = np.array(
-            [places[texts[number]] for number in self._known.tolist()], self.dtype
-        )
+        self.dtype: np.dtype = np.dtype("i2")
+        if len(self.texts) > np.iinfo(np.int16).max:
+            self.dtype = np.dtype("i4")
+
+        known = sorted(texts)
+        place_of = {text: place for place, text in enumerate(self.texts)}
+        places = [place_of[texts[number]] for number in known]
+        self._known = np.array(known, np.uint64)
+        self._places = np.array(places, self.dtype)
 
     def renumbered(self, reason: np.ndarray) -> np.ndarray:
         """Numbers in the archive of those in records; of a number that is not known,
@@ -65,9 +68,9 @@ def write_variable(
     """Write a small variable with its attributes; the options are those of netCDF4,
     without a fill value if none.
     """
-    variable = group.createVariable(
-        name, values.dtype.newbyteorder("="), dims, **{"fill_value": False, **options}
-    )
+    options = {"fill_value": False, **options}
+    dtype = values.dtype.newbyteorder("=")
+    variable = group.createVariable(name, dtype, dims, **options)
     put(variable, attributes)
     variable[...] = values
 
@@ -83,21 +86,22 @@ def write_strings(
     """
     encoded = [value.encode() for value in values]
     length = max(map(len, encoded), default=0) or 1
-    dims = dim, f"{layout.STRING}{length}"
-    if dims[1] not in group.dimensions:
-        group.createDimension(dims[1], length)
-    variable = group.createVariable(name, "S1", dims, **layout.filters(len(encoded)))
+    of_characters = f"{layout.STRING}{length}"
+    if of_characters not in group.dimensions:
+        group.createDimension(of_characters, length)
+
+    filters = layout.filters(len(encoded))
+    variable = group.createVariable(name, "S1", (dim, of_characters), **filters)
     put(variable, {**attributes, "_Encoding": "utf-8"})
+    characters = np.array(encoded, f"S{length}").view("S1")
     variable.set_auto_chartostring(False)
-    variable[:] = np.array(encoded, f"S{length}").view("S1").reshape(-1, length)
+    variable[:] = characters.reshape(-1, length)
     variable.set_auto_chartostring(True)
 
 
 def line_description(study: Study, number: int) -> str:
     """Name of a line in messages: its walker and parameters."""
-    return " ".join(
-        [
-            study.name_of(number),
-            *(f"{key}={value!r}" for key, value in study.line(number)["set"].items()),
-        ]
-    )
+    words = [study.name_of(number)]
+    for key, value in study.line(number)["set"].items():
+        words.append(f"{key}={value!r}")
+    return " ".join(words)

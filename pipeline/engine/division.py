@@ -31,8 +31,9 @@ def answer(request: Request, ask: Ask) -> Answer:
     """Answer a request by asking for it, or for its parts."""
     if not request.codec:
         return _of_task(request, ask)
-    lines = request.params.get("lines")
-    places = None if lines is None else np.arange(len(lines))
+    places = None
+    if "lines" in request.params:
+        places = np.arange(len(request.params["lines"]))
     record, atlases = _of_part(request, places, ask)
     return Answer(record=record, atlases=atlases)
 
@@ -75,9 +76,12 @@ def _of_part(
     has_atlases = places is not None and request.alone is not None
     is_point = lines * slopes == 1 and not has_atlases
 
-    outcome, parts = "", list[bytes]()
+    outcome: str = ""
+    parts: list[bytes] = []
     if lines * slopes <= (request.most or math.inf):
-        again = ("timed_out", *_EXTERNAL) if is_point else ()
+        again: tuple[str, ...] = ()
+        if is_point:
+            again = ("timed_out", *_EXTERNAL)
         outcome, parts = ask(request, *again)
 
     if outcome == "ok":
@@ -101,10 +105,13 @@ def _of_whole(
     parts: list[bytes], places: np.ndarray | None
 ) -> tuple[Record, list[AtlasAnswer]]:
     """Record and atlases that were answered together."""
-    head, payload, *atlases = parts
-    of_lines = [] if places is None else places.tolist()
-    pairs = zip(of_lines, atlases, strict=False)
-    return Record(head, payload), [AtlasAnswer(k, "ok", "", each) for k, each in pairs]
+    head, payload, *packed = parts
+    atlases = []
+    if places is not None:
+        for place, atlas in zip(places.tolist(), packed, strict=False):
+            atlases.append(AtlasAnswer(place, "ok", "", atlas))
+
+    return Record(head, payload), atlases
 
 
 def _divided(
@@ -122,7 +129,9 @@ def _divided(
     parts = itertools.product(_ranges(lines, sizes[0]), _ranges(slopes, sizes[1]))
     for some, at in parts:
         part = _part_of(request, some, at)
-        of_part = None if places is None else places[some]
+        of_part = places
+        if places is not None:
+            of_part = places[some]
         record, atlases_of_part = _of_part(part, of_part, ask)
         found.append(ChunkCodec.decode(record))
         rows.append((some[:, None] * slopes + at).ravel())

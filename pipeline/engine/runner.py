@@ -379,7 +379,7 @@ class StudyRun:
 
 def _warn_of_changed_code(plan: Plan, todo: Summary, progress: Progress) -> None:
     """Warn if the code of `tasks` changed since results were stored and no version did."""
-    stored_digest, digest = plan.store.note("code"), code_digest()
+    stored_digest, digest = plan.store.note("code"), code_digest("tasks")
     is_same_version = plan.store.note("versions") == plan.versions
     has_changed = stored_digest not in (None, digest) and is_same_version
     if has_changed and any(todo.cached.values()):

@@ -12,7 +12,7 @@ from gaitsweep.pipeline.engine.request import Answer, Request
 from gaitsweep.pipeline.graph.graph import Node
 from gaitsweep.pipeline.graph.plan import Plan
 from gaitsweep.pipeline.graph.reads import study_inputs
-from gaitsweep.pipeline.grid.grid import PLANE_POINTS
+from gaitsweep.pipeline.grid.grid import PLANE_POINTS, Chunk
 from gaitsweep.pipeline.grid.method import Method
 from gaitsweep.pipeline.outcomes import count
 from gaitsweep.pipeline.statuses import STATUS_NAMES
@@ -65,11 +65,18 @@ class Work:
     def peek(self) -> Node | None:
         """The next node that is ready; None if there is none now."""
         try:
-            while not self._ready and not self.error and (node := self._drawn()):
+            while not self._ready and not self.error:
+                node = self._drawn()
+                if node is None:
+                    return None
                 self._offer(node)
         except Exception as error:
             self.fail(error)
-        return self._ready[0] if self._ready else None
+
+        if not self._ready:
+            return None
+
+        return self._ready[0]
 
     def _drawn(self) -> Node | None:
         """The next node of the plan that nothing has been decided of."""
@@ -88,9 +95,10 @@ class Work:
     def _results(self, node: Node) -> Iterator[str]:
         """Keys of the results of a node."""
         yield node.key
-        if node.lines and "atlas" in self.plan.graph.line_tasks:
-            for line in node.chunk.numbers.tolist() if node.chunk else ():
-                yield self.plan.graph.line_keys(line)["atlas"]
+        graph = self.plan.graph
+        if node.chunk and node.lines and "atlas" in graph.line_tasks:
+            for line in node.chunk.numbers.tolist():
+                yield graph.line_keys(line)["atlas"]
 
     def _offer(self, node: Node) -> None:
         """Make a node ready, unless it waits for another, or is dropped as that failed."""
@@ -170,9 +178,13 @@ class Work:
 
     def request(self, node: Node) -> Request:
         """What a worker is asked for a node that was taken."""
-        graph, limits = self.plan.graph, self.plan.study.limits
-        codec = self._codec(node) if node.chunk else None
-        alone = self._alone() if node.chunk else None
+        graph = self.plan.graph
+        limits = self.plan.study.limits
+        codec = alone = None
+        if node.chunk:
+            codec = self._codec(node.chunk)
+            alone = self._alone()
+
         most = self.most
         if graph.method in (Method.PLANE, Method.TARGETS):
             # Lines keep their charts or branches, and a few points take as long as
@@ -192,12 +204,11 @@ class Work:
             together=self._together(node),
         )
 
-    def _codec(self, node: Node) -> ChunkCodec:
+    def _codec(self, chunk: Chunk) -> ChunkCodec:
         """By which a worker packs the points of a chunk."""
-        assert node.chunk
         graph = self.plan.graph
         return ChunkCodec(
-            node.chunk.shape,
+            chunk.shape,
             graph.grid.multipliers,
             self.plan.study.gaits,
             is_archived=not graph.in_memory,
@@ -214,8 +225,10 @@ class Work:
     def _together(self, node: Node) -> str:
         """Function that computes such an atlas beside others."""
         graph = self.plan.graph
-        is_beside = node.task == "atlas" and graph.method is Method.ALONE
-        return graph.layers["atlas"].task.side_by_side if is_beside else ""
+        if node.task != "atlas" or graph.method is not Method.ALONE:
+            return ""
+
+        return graph.layers["atlas"].task.side_by_side
 
     def _inputs(self, node: Node) -> Iterator[bytes]:
         """Packed inputs of a node."""
@@ -257,8 +270,9 @@ class Work:
             outcome = Outcome(answer.status, answer.reason)
             store.put_result(node.key, outcome, answer.data)
             self._release(node.key, answer.status)
-            is_halved = node.task == "charts" and self.plan.boxes(node, "halves")
-            size = 0 if is_halved else graph.size(node)
+            size = graph.size(node)
+            if node.task == "charts" and self.plan.boxes(node, "halves"):
+                size = 0  # its halves are charted
             return _with_times(Finished(node, size, *outcome), answer)
 
         for atlas in answer.atlases:

@@ -47,9 +47,10 @@ def layers(study: Study, method: Method) -> dict[str, Layer]:
             add(need, per_line or need == "points" or _over_lines(need))
         needed[name] = Layer(task, per_line, needs)
 
+    main = _main(study)
     if method is Method.PLANE:
         add("charts", True)
-    add("points" if study.kind == "grid" else study.kind, True)
+    add(main, True)
     for name in (*study.figures, *study.claims):
         for read in READS.get(name, ()):
             if read in TASKS:
@@ -62,14 +63,20 @@ def layers(study: Study, method: Method) -> dict[str, Layer]:
     if study.claims and "claims" in TASKS:
         # Claims read the main results of the study, its points or the tables of its
         # task, and their atlas.
-        own = "points" if study.kind == "grid" else study.kind
         others = _read_by_claims(study)
         for name in others:
             add(name, True)
-        read = (own, *TASKS[own].needs, *others)
+        read = (main, *TASKS[main].needs, *others)
         needed["claims"] = Layer(TASKS["claims"], False, read)
 
     return needed
+
+
+def _main(study: Study) -> str:
+    """The layer of a study's main results."""
+    if study.kind == "grid":
+        return "points"
+    return study.kind
 
 
 def _read_by_claims(study: Study) -> tuple[str, ...]:
@@ -136,14 +143,17 @@ def line_params(
     if name == "charts":
         return _charts_params(study, line, box)
     if name == "cascade" != study.kind:  # for the fit `crises`
-        named = isinstance(line["walker"], str) and not line["set"]
-        slopes = np.array(LOSS_WINDOWS.get(line["walker"], ()) if named else (), float)
+        window: Iterable[float] = ()
+        if isinstance(line["walker"], str) and not line["set"]:
+            window = LOSS_WINDOWS.get(line["walker"], ())
+        slopes = np.array(window, float)
         return {"line": line, "slope": slopes, "gaits": GAITS}
 
-    along = {"along": study.drive} if study.drive else {}
+    along = _along(study)
     if name == "branch":
-        window = {**_ends(study.values_along), "n": len(study.values_along)}
-        return {"line": line, **along, **window, **study.options}
+        ends = _ends(study.values_along)
+        n = len(study.values_along)
+        return {"line": line, **along, **ends, "n": n, **study.options}
 
     params = {"line": line, **along, "slope": study.values_along, "gaits": study.gaits}
     if name != "trace":  # `steps` may be those of orbits
@@ -157,22 +167,29 @@ def _atlas_params(
     study: Study, method: Method, line: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Parameters of the atlas of a line."""
+    params: dict[str, Any] = {"line": line, **_along(study)}
+    if study.steps > 1:
+        params["steps"] = study.steps
     if study.drive:
-        few = {"coarse": True} if method.is_coarse else {}
-        steps = {"steps": study.steps} if study.steps > 1 else {}
-        return {"line": line, "along": study.drive, **few, **steps}
+        if method.is_coarse:
+            params["coarse"] = True
+        return params
 
-    params: dict[str, Any] = {
-        "line": line if "drive" in study.features else _without_g(line),
-        "coarse": method.is_coarse,
-    }
+    params["coarse"] = method.is_coarse
+    if "drive" not in study.features:
+        params["line"] = _without_g(line)
     if study.is_level:
         # What drives walkers there, branches over slope do not tell.
         params["level"] = True
 
-    if study.steps > 1:
-        params["steps"] = study.steps
     return params
+
+
+def _along(study: Study) -> dict[str, Any]:
+    """Parameter that names what gaits are followed over where it is not the slope."""
+    if not study.drive:
+        return {}
+    return {"along": study.drive}
 
 
 def _charts_params(
@@ -186,15 +203,14 @@ def _charts_params(
     leads = study.values_along[study.values_along > 0]
     window = {**_ends(leads), "slopes": about(len(leads))}
     of_plane = {**line, "set": fixed}
-    along = {"along": study.drive} if study.drive else {}
-    plane = {"plane": box or study.plane.region, **along, **window}
-    if not study.accuracy:
-        is_driven = "drive" in study.features
-        own = of_plane if is_driven else _without_g(of_plane)
-        return {"line": own, **plane, "want": ()}
+    plane = {"plane": box or study.plane.region, **_along(study), **window}
+    if study.accuracy:
+        wanted = {"want": variables(study), "accuracy": study.accuracy}
+        return {"line": of_plane, **plane, **wanted}
 
-    wanted = {"want": variables(study), "accuracy": study.accuracy}
-    return {"line": of_plane, **plane, **wanted}
+    if "drive" not in study.features:
+        of_plane = _without_g(of_plane)
+    return {"line": of_plane, **plane, "want": ()}
 
 
 def _without_g(line: Mapping[str, Any]) -> dict[str, Any]:

@@ -78,18 +78,19 @@ class Plan:
         for number in golden_ratio_order(grid.chunks):
             chunk = grid.chunk(number)
             node = self._of_chunk(chunk)
-            for charts in self.charts_of(chunk) if node else ():
-                if charts.key not in planned:
-                    planned.add(charts.key)
-                    yield from self._if_missing(charts)
-
             if node:
+                for charts in self.charts_of(chunk):
+                    if charts.key not in planned:
+                        planned.add(charts.key)
+                        yield from self._if_missing(charts)
                 yield node
+
             if graph.line_tasks:
                 for line in chunk.numbers.tolist():
-                    of_line = self._of_line(line)
-                    # A chunk that is computed brings the atlases of its lines.
-                    yield from (n for n in of_line if not node or n.task != "atlas")
+                    for of_line in self._of_line(line):
+                        # A chunk that is computed brings the atlases of its lines.
+                        if not node or of_line.task != "atlas":
+                            yield of_line
 
     def _of_line(self, number: int) -> Iterator[Node]:
         """Missing nodes over a line, its atlas first."""
@@ -108,7 +109,8 @@ class Plan:
             chunks = graph.grid.chunks_of_line(number)
             for k in golden_ratio_order(len(chunks)):
                 node = self._of_chunk(graph.grid.chunk(chunks[k]))
-                missing += [node] if node else []
+                if node:
+                    missing.append(node)
 
         # Tasks over the study read the atlas too.
         readers = {*(node.task for node in missing), *graph.study_tasks}
@@ -116,8 +118,10 @@ class Plan:
         if "atlas" in graph.line_keys(number) and is_read:
             yield from self._if_missing(graph.node("atlas", number))
         for node in missing:
-            # The result of one may have come from another study since.
-            yield from [node] if node.chunk else self._if_missing(node)
+            if node.chunk:
+                yield node
+            else:  # which may have come from another study since
+                yield from self._if_missing(node)
 
     def charts_of(self, chunk: Chunk) -> Iterator[Node]:
         """Nodes of the charts of a chunk over a plane; the halves of one that is
@@ -138,9 +142,8 @@ class Plan:
                     return [charts.box or plane.region]
                 return []
 
-            self._boxes[key] = {
-                name: boxes(arrays, name) for name in ("halves", "alone")
-            }
+            halves, alone = boxes(arrays, "halves"), boxes(arrays, "alone")
+            self._boxes[key] = {"halves": halves, "alone": alone}
 
         return self._boxes[key][which]
 
@@ -153,12 +156,17 @@ class Plan:
         """A node over a line with the reason why it runs; none if it does not."""
         if not self.is_missing(node.key):
             return []
-        is_there = self.store.outcome(node.key) is not None
-        return [replace(node, why="retried" if is_there else self._why(node.task))]
+
+        why = self._why(node.task)
+        if node.key in self.store:
+            why = "retried"
+        return [replace(node, why=why)]
 
     def _why(self, task: str) -> str:
         """Why a node of a task has no result."""
-        return "changed" if task in self._changed else "new"
+        if task in self._changed:
+            return "changed"
+        return "new"
 
     @functools.cached_property
     def _changed(self) -> set[str]:
@@ -175,7 +183,9 @@ class Plan:
             if before.get(name, version) != version or changed & {*layer.needs}:
                 changed.add(name)
 
-        return changed | ({"points"} if "charts" in changed else set())
+        if "charts" in changed:
+            changed.add("points")
+        return changed
 
     def set_notes(self) -> None:
         """Note with what this study is run, for later plans."""
@@ -251,7 +261,10 @@ class Plan:
         no task of its own.
         """
         keys = self.graph.line_keys(number)
-        return self.store.outcome(keys["atlas"]) if "atlas" in keys else None
+        if "atlas" not in keys:
+            return None
+
+        return self.store.outcome(keys["atlas"])
 
 
 @dataclass
@@ -278,20 +291,29 @@ def summary(plan: Plan) -> Summary:
         for name, total in totals.items():
             todo[name]["new"] = total
 
-    counts = {name: sum(why.values()) for name, why in todo.items()}
-    work = sum(n * plan.graph.seconds(name) for name, n in counts.items() if n)
-    seconds = work + costs.starting(plan.study) if any(counts.values()) else 0.0
-    cached = {name: totals[name] - n for name, n in counts.items()}
+    cached: dict[str, int] = {}
+    seconds = 0.0
+    for name, whys in todo.items():
+        n = whys.total()
+        cached[name] = totals[name] - n
+        if n:
+            seconds += n * plan.graph.seconds(name)
+
+    if any(whys.total() for whys in todo.values()):
+        seconds += costs.starting(plan.study)
     return Summary(todo, cached, seconds)
 
 
 def _totals(plan: Plan) -> dict[str, int]:
     """What there is to each layer: points, lines or batches of designs, or one."""
-    study, totals = plan.study, dict[str, int]()
+    totals: dict[str, int] = {}
     for name, layer in plan.graph.layers.items():
-        totals[name] = study.batches if layer.per_line else 1
+        totals[name] = 1
         if name == "points":
-            totals[name] = study.points
+            totals[name] = plan.study.points
+        elif layer.per_line:
+            totals[name] = plan.study.batches
+
     return totals
 
 

@@ -26,23 +26,24 @@ def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
     if not needs:
         return
 
-    per_line = [
-        need for need in needs if need != "points" and graph.layers[need].per_line
-    ]
-    reads = [
-        v
-        for v in READS.get(name, graph.variables)
-        if v in VARIABLES and v not in ("status", "reason")
-    ]
-    lines = _Lines(plan, ["status", *reads])
+    names = ["status"]
+    for variable in READS.get(name, graph.variables):
+        if variable in VARIABLES and variable not in ("status", "reason"):
+            names.append(variable)
+
+    per_line = [need for need in needs if graph.layers[need].per_line]
+    lines = _Lines(plan, names)
     for number in range(plan.study.batches):
-        columns = lines.line(number) if "points" in needs else {}
+        columns: dict[str, Any] = {}
+        if "points" in per_line:
+            columns |= lines.line(number)
         for need in per_line:
-            columns |= store.result(graph.line_keys(number)[need]) or {}
+            if need != "points":
+                columns |= store.result(graph.line_keys(number)[need]) or {}
         yield serialize.dump(columns)
 
     for need in needs:
-        if not graph.layers[need].per_line:
+        if need not in per_line:
             yield serialize.dump(store.result(graph.study_keys[need]) or {})
 
 
@@ -54,22 +55,23 @@ class _Lines:
     def __init__(self, plan: Plan, names: list[str]):
         self.plan, self.names, self.graph = plan, names, plan.graph
         self.step = math.ceil(len(plan.study.values_along) / _MAX_SLOPES)
-        self.others = [
-            k for k, gait in enumerate(GAITS) if gait not in plan.study.gaits
-        ]
-        self._chunk = functools.lru_cache(
-            _MAX_CHUNKS if self.graph.method.is_of_lines else 1
-        )(self._read)
+        wanted = plan.study.gaits
+        self.others = [k for k, gait in enumerate(GAITS) if gait not in wanted]
+        remembered = 1
+        if self.graph.method.is_of_lines:
+            remembered = _MAX_CHUNKS
+        self._chunk = functools.lru_cache(remembered)(self._read)
 
     def line(self, number: int) -> dict[str, Any]:
         """Slopes and variables, shape (n, gait[, multiplier]), of one line."""
         grid, parts = self.graph.grid, []
         for k in grid.chunks_of_line(number):
             chunk = grid.chunk(k)
-            first = int(np.flatnonzero(chunk.numbers == number)[0]) * chunk.per_line
-            rows = first + np.arange(
+            (place,) = np.flatnonzero(chunk.numbers == number)
+            of_step = np.arange(
                 -chunk.slopes.start % self.step, chunk.per_line, self.step
             )
+            rows = place * chunk.per_line + of_step
             stored = self._chunk(k).values
             parts.append(Points({name: stored[name][rows] for name in self.names}))
 
@@ -81,8 +83,8 @@ class _Lines:
     def _read(self, number: int) -> Points:
         chunk, store = self.graph.grid.chunk(number), self.plan.store
         key = self.graph.chunk_key(chunk)
-        if key not in store:
-            return Points.of_ending(
-                chunk.points, "not_attempted", NOT_ATTEMPTED, self.names
-            )
-        return store.points(key, self.names)
+        if key in store:
+            return store.points(key, self.names)
+
+        count = chunk.points
+        return Points.of_ending(count, "not_attempted", NOT_ATTEMPTED, self.names)

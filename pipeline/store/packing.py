@@ -94,19 +94,21 @@ def pack(values: ndarray, extent: tuple[int, ...]) -> bytes:
     # of the checksum.
     size = values.itemsize
     n = len(data) // size
-    values_of_bytes = data[: n * size].reshape(n, size)
-    planes = np.ascontiguousarray(values_of_bytes.T)
+    shuffled, rest = np.split(data, [n * size])
+    planes = np.ascontiguousarray(shuffled.reshape(n, size).T)
+
     are_compressible = [True] * size
     if values.dtype.kind == "f":
         are_compressible = _compressible_planes(planes)
-    return _deflated(planes, are_compressible, data[n * size :].tobytes())
+    return _deflated(planes, are_compressible, rest.tobytes())
 
 
 def _deflated(planes: ndarray, are_compressible: list[bool], rest: bytes) -> bytes:
     """Planes of bytes and a rest as one stream, in which those that are not compressible
     are stored.
     """
-    checksum, stream = 1, [b"\x78\x01"]
+    checksum = 1
+    stream = [b"\x78\x01"]
     pairs = zip(are_compressible, planes, strict=True)
     for is_compressible, run in itertools.groupby(pairs, key=lambda pair: pair[0]):
         deflate = zlib.compressobj(int(is_compressible), zlib.DEFLATED, -15)
@@ -116,8 +118,11 @@ def _deflated(planes: ndarray, are_compressible: list[bool], rest: bytes) -> byt
         stream.append(deflate.flush(zlib.Z_SYNC_FLUSH))
 
     last = zlib.compressobj(0, zlib.DEFLATED, -15)
-    stream += [last.compress(rest), last.flush()]
-    stream.append(struct.pack(">I", zlib.adler32(rest, checksum)))
+    stream.append(last.compress(rest))
+    stream.append(last.flush())
+
+    checksum = zlib.adler32(rest, checksum)
+    stream.append(struct.pack(">I", checksum))
     return b"".join(stream)
 
 
@@ -160,15 +165,20 @@ def _compressible_planes(planes: ndarray) -> list[bool]:
     size, length = planes.shape
     last = max(1, length - _LAGS[-1])
     sample = planes[:, :last:_SAMPLING]
-    numbers = sample + 256 * np.arange(size)[:, None]
-    histogram = np.bincount(numbers.ravel(), minlength=256 * size).reshape(size, 256)
 
+    # How often each byte occurs, by plane; the sum of squares is least if all do alike.
+    numbers = sample + 256 * np.arange(size)[:, None]
+    counts = np.bincount(numbers.ravel(), minlength=256 * size)
+    unevenness = np.sum(counts.reshape(size, 256) ** 2, axis=1)
     n = sample.shape[1]
     by_chance = n + n * (n - 1) / 256
-    compressible = np.sum(histogram**2, axis=1) > _MIN_UNEVENNESS * by_chance
-    for lag in _LAGS if length > _LAGS[-1] else ():
-        is_repeated = sample == planes[:, lag : last + lag : _SAMPLING]
-        compressible |= np.mean(is_repeated, axis=1) > _MIN_REPETITION
+    compressible = unevenness > _MIN_UNEVENNESS * by_chance
+
+    if length > _LAGS[-1]:
+        for lag in _LAGS:
+            later = planes[:, lag : last + lag : _SAMPLING]
+            repetition = np.mean(sample == later, axis=1)
+            compressible |= repetition > _MIN_REPETITION
 
     return compressible.tolist()
 
@@ -188,9 +198,11 @@ def fletcher32(data: ndarray) -> int:
     padding = np.zeros(len(data) % 2, np.uint8)
     whole = np.append(data, padding)
     words = whole.view(">u2").astype(np.int64)
-    low = int(words.sum())
-    high = int(words @ np.arange(len(words), 0, -1))
-    return _ones_complement(high) << 16 | _ones_complement(low)
+    weights = np.arange(len(words), 0, -1)
+
+    low = _ones_complement(int(words.sum()))
+    high = _ones_complement(int(words @ weights))
+    return high << 16 | low
 
 
 def _ones_complement(total: int) -> int:

@@ -29,7 +29,9 @@ def sentence_number(sentence: str) -> int:
 
 def dtype_of(name: str) -> np.dtype:
     """Type of a variable in a record."""
-    return REASON if name == "reason" else np.dtype(VARIABLES[name].dtype)
+    if name == "reason":
+        return REASON
+    return np.dtype(VARIABLES[name].dtype)
 
 
 @dataclass
@@ -67,7 +69,9 @@ class Points:
             results = [result for _, result in returned]
 
         parts = [cls._of_result(result, params["want"]) for result in results]
-        points = joined(parts) if len(parts) > 1 else parts[0]
+        points = parts[0]
+        if len(parts) > 1:
+            points = joined(parts)
 
         lines = len(params.get("lines", [None]))
         count = lines * len(params["slope"])
@@ -140,7 +144,9 @@ def joined(parts: Sequence[Points], least: tuple[int, int] = (0, 0)) -> Points:
         sizes = zip(least[: len(inner[0])], *inner, strict=True)
         shape = tuple(map(max, sizes))
         wide = [widened(name, array, shape) for array in arrays]
-        values[name] = np.concatenate(wide) if len(wide) > 1 else wide[0]
+        values[name] = wide[0]
+        if len(wide) > 1:
+            values[name] = np.concatenate(wide)
 
     return Points(values, sentences)
 
@@ -151,8 +157,11 @@ def widened(name: str, values: ndarray, shape: tuple[int, ...]) -> ndarray:
     """
     if values.shape[1:] == shape:
         return values
-    whole = np.full((len(values), *shape), VARIABLES[name].absent, values.dtype)
-    whole[(slice(None), *map(slice, values.shape[1:]))] = values
+
+    absent = VARIABLES[name].absent
+    whole = np.full((len(values), *shape), absent, values.dtype)
+    there = tuple(map(slice, values.shape))
+    whole[there] = values
     return whole
 
 

@@ -26,11 +26,16 @@ def without_toward(
     """Axes without the walker toward which `detuning` leads, and that walker, if one is
     named.
     """
-    way = axes.get("detuning") if isinstance(axes, dict) else None
-    if not isinstance(axes, dict) or not isinstance(way, dict) or "toward" not in way:
+    if not isinstance(axes, dict):
         return axes, None
-    rest = {key: value for key, value in way.items() if key != "toward"}
-    return {**axes, "detuning": rest}, other(way["toward"], path.parent, location)
+
+    detuning = axes.get("detuning")
+    if not isinstance(detuning, dict) or "toward" not in detuning:
+        return axes, None
+
+    rest = {key: value for key, value in detuning.items() if key != "toward"}
+    walker = other(detuning["toward"], path.parent, location)
+    return {**axes, "detuning": rest}, walker
 
 
 def read(
@@ -55,18 +60,19 @@ def read(
         raise location.error("A study needs axes, at least `slope`")
 
     _check_names(value, location, at or {})
-    if at and at["vary"] == "slope":
-        return tuple(_axis(name, value[name], location) for name in value), {}
-    if "slope" not in value:
-        raise location.error("A study needs the axis `slope`")
+    given = dict(value)
+    tolerances = {}
+    if not at or at["vary"] != "slope":
+        if "slope" not in value:
+            raise location.error("A study needs the axis `slope`")
 
-    given, tolerances = {**value}, {}
-    for name in ("slope", *DRIVES):
-        axis = value.get(name)
-        if isinstance(axis, dict) and "adaptive" in axis:
-            tolerances[name], given[name] = _adaptive(axis, location.at(name))
+        for name in ("slope", *DRIVES):
+            axis = value.get(name)
+            if isinstance(axis, dict) and "adaptive" in axis:
+                tolerances[name], given[name] = _adaptive(axis, location.at(name))
 
-    return tuple(_axis(name, given[name], location) for name in given), tolerances
+    axes = [_axis(name, values, location) for name, values in given.items()]
+    return tuple(axes), tolerances
 
 
 def _check_names(
@@ -85,9 +91,14 @@ def _check_names(
                 f"`{key}` holds a text and is no axis: it stands in the table of a walker"
             )
 
-    known = (*axis_names(), *([at["measure"]] if at else []))
+    known = [*axis_names()]
+    if at:
+        known.append(at["measure"])
     for key in value:
-        if key not in known and (why := ask("why_no_key", {"key": key})):
+        if key in known:
+            continue
+        why = ask("why_no_key", {"key": key})
+        if why:
             raise location.error(f"`{clip(str(key))}` is no axis: {why}")
 
     location.check_names(value, known, "key")
@@ -173,14 +184,19 @@ def _linear(start: float, stop: float, n: int) -> np.ndarray:
     not 3 times 0.1.
     """
     values = np.linspace(start, stop, n)
-    first, last = (Fraction(repr(x)) for x in (start, stop))
-    step = (last - first) / max(n - 1, 1)
+    first = Fraction(repr(start))
+    step = (Fraction(repr(stop)) - first) / max(n - 1, 1)
     for digits in range(_MAX_DIGITS + 1):
         unit = 10**digits
-        if (first * unit).denominator == (step * unit).denominator == 1:
-            largest = max(abs(start), abs(stop)) * unit
+        are_whole = (first * unit).denominator == (step * unit).denominator == 1
+        if not are_whole:
+            continue
+
+        largest = max(abs(start), abs(stop)) * unit
+        if largest < 2**53:
             # Whole numbers over a power of ten that are both exact: the quotient is the
             # double nearest the decimal.
-            return np.rint(values * unit) / unit if largest < 2**53 else values
+            return np.rint(values * unit) / unit
+        break
 
     return values

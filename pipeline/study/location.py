@@ -25,13 +25,16 @@ class Location:
 
     def error(self, sentence: str) -> StudyError:
         """Error of one sentence with the location."""
-        position = ", ".join(
-            filter(None, (self.file, ".".join(self.keys) if self.file else ""))
-        )
-        sentence = (
-            f"{sentence.rstrip('.')} ({position})" if position else sentence.rstrip(".")
-        )
-        return StudyError(sentence if sentence.endswith("?") else f"{sentence}.")
+        sentence = sentence.rstrip(".")
+        if self.file:
+            position = [self.file]
+            if self.keys:
+                position.append(".".join(self.keys))
+            sentence = f"{sentence} ({', '.join(position)})"
+
+        if not sentence.endswith("?"):
+            sentence = f"{sentence}."
+        return StudyError(sentence)
 
     def wrong(self, bound: str, value: object) -> StudyError:
         """Error for a value that violates a bound."""
@@ -43,7 +46,9 @@ class Location:
         """Error for an unknown name or key, with the nearest known one."""
         known = list(dict.fromkeys(known))
         near = difflib.get_close_matches(name, known, 1)
-        hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known)}"
+        hint = f"known: {', '.join(known)}"
+        if near:
+            hint = f"did you mean `{near[0]}`?"
         return self.error(f"Unknown {kind} `{clip(name)}`, {hint}")
 
     def check_names(
@@ -79,10 +84,10 @@ class Location:
         """
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.wrong("must be a number", value)
+        if value in (math.inf, -math.inf):
+            raise self.wrong("must be finite", value)
         if abs(value) > LARGEST:  # a whole number may exceed every double
-            is_infinite = value in (math.inf, -math.inf)
-            bound = "must be finite" if is_infinite else "must be at most 1e300"
-            raise self.wrong(bound, value)
+            raise self.wrong("must be at most 1e300", value)
 
         if math.isnan(value):
             raise self.wrong("must be finite", value)
@@ -98,12 +103,12 @@ class Location:
         StudyError
             If it is not.
         """
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, Integral)
-            or not least <= int(value) <= most
-        ):
-            raise self.wrong(f"must be a whole number from {least} to {most:,}", value)
+        bound = f"must be a whole number from {least} to {most:,}"
+        if isinstance(value, bool) or not isinstance(value, Integral):
+            raise self.wrong(bound, value)
+        if not least <= int(value) <= most:
+            raise self.wrong(bound, value)
+
         return int(value)
 
 
@@ -111,8 +116,12 @@ def clip(text: str, max_length: int = 60) -> str:
     """Shorten text from outside and replace unprintable characters, for use in an
     error.
     """
-    text = "".join(c if c.isprintable() else "?" for c in text)
-    return text if len(text) <= max_length else text[: max_length - 3] + "..."
+    for character in set(text):
+        if not character.isprintable():
+            text = text.replace(character, "?")
+    if len(text) > max_length:
+        text = text[: max_length - 3] + "..."
+    return text
 
 
 def _show(value: object) -> str:

@@ -46,7 +46,6 @@ def read(
         raise place.wrong("must be a table", value)
 
     place.check_names(value, (*AT, *nameable()), "measure")
-
     if not isinstance(axes, dict | None):
         raise top.at("axes").wrong("must be a table", axes)
 
@@ -68,11 +67,13 @@ def _measure(
     """The one measure that is named, and whether it is an axis."""
     named = [name for name in value if name not in AT]
     of_axes = [name for name in axes if name in VARIABLES]
-    if len(named) + len(of_axes) != 1:
-        names = [*named, *(f"axes.{name}" for name in of_axes)]
+    measures = [*named, *of_axes]
+    if len(measures) != 1:
+        names = named + [f"axes.{name}" for name in of_axes]
         bound = "must name one measure, here or among the axes"
         raise place.wrong(bound, ", ".join(names) or "none")
-    return [*named, *of_axes][0], bool(of_axes)
+
+    return measures[0], bool(of_axes)
 
 
 def check_steps(steps: int, asked: Mapping[str, Any], place: Location) -> None:
@@ -95,7 +96,9 @@ def varied(vary: str, between: Any) -> dict[str, Any]:
     """What is varied, and its range unless it is None, as arguments give them, checked."""
     given: dict[str, Any] = {"vary": vary}
     if between is not None:
-        given["between"] = list(between) if np.iterable(between) else between
+        given["between"] = between
+        if np.iterable(between):
+            given["between"] = list(between)
     return fields(given, Location("", ""))
 
 
