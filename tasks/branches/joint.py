@@ -92,7 +92,7 @@ def evaluate(problem: Problem, Z: Coordinates, samples: int = 0) -> Evaluation:
     """Evaluate the steps at points Z (c, n), with `samples` of their motion as
     `Problem.stride` takes them.
     """
-    stride, _ = problem.stride(Z[:-1], Z[-1], slope=True, samples=samples)
+    stride, _ = problem.stride(Z[:-1], Z[-1], by_drive=True, samples=samples)
     return Evaluation(Z, stride, problem)
 
 

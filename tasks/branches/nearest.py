@@ -310,7 +310,7 @@ class _Along:
         """
         w, q = self.Z[:-1, lanes], self.Z[-1, lanes]
         problem = self.problem.some(lanes)
-        stride, _ = problem.stride(w, q, slope=True)
+        stride, _ = problem.stride(w, q, by_drive=True)
         onto = newton_step(stride, w)
 
         m = problem.m

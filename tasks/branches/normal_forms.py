@@ -263,7 +263,7 @@ def _in_units(problem: Problem, Z: Gait, error: float) -> _Sections:
 
 def _by_log_slope(problem: Problem, Z: ndarray) -> ndarray:
     """Derivative (c,) of the unknowns Z (c, 1) of a gait by its ln slope, the last."""
-    stride, _ = problem.stride(Z[:-1], Z[-1], slope=True)
+    stride, _ = problem.stride(Z[:-1], Z[-1], by_drive=True)
     derivative = Evaluation(Z, stride, problem).derivative[:, :, 0]
     by_w = derivative[:, :-1]
     by_slope = derivative[:, -1]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray
 
 from gaitsweep.tasks.branches.branch import Branch
-from gaitsweep.tasks.branches.locate import settle_on_branches
+from gaitsweep.tasks.branches.settling import settle_on_branches
 from gaitsweep.tasks.contract.registry import GAITS
 from gaitsweep.tasks.gaits.labels import places
 from gaitsweep.tasks.gaits.polish import Polished

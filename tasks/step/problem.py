@@ -184,7 +184,7 @@ class Problem:
         self,
         w: np.ndarray,
         log_slope: np.ndarray,
-        slope: bool = False,
+        by_drive: bool = False,
         samples: int = 0,
         coarse: bool = False,
     ) -> tuple[AnyStride, np.ndarray]:
@@ -196,8 +196,8 @@ class Problem:
             ln(angle), rates/angle, event times: of order one over decades of slope.
         log_slope : ndarray, shape (n,)
             ln of the slope in rad.
-        slope : bool
-            Also differentiate by the slope.
+        by_drive : bool
+            Also differentiate by what drives, the slope most often.
         samples : int
             Equal intervals of each phase at whose ends the motion is also returned.
         coarse : bool
@@ -214,7 +214,7 @@ class Problem:
             y,
             w[self.m :],
             self.parameters(np.exp(log_slope), scale),
-            slope,
+            by_drive,
             samples,
             coarse,
         )

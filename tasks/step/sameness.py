@@ -10,9 +10,9 @@ Tolerances of something else stay where they are used:
 - places along a branch, apart by rounding: `_TWIN` (`branches.atlas`), `_SAME_PLACE`
   (`branches.sampling`);
 - ln slopes alone: `_SAME_SLOPE` (`studies.locate_cascade`), `_BESIDE_FOLD`
-  (`branches.locate`), within which two gaits may be one;
+  (`branches.settling`), within which two gaits may be one;
 - steps of one gait, to tell it from one of fewer steps: `_LEAST_APART`
-  (`branches.locate`);
+  (`branches.settling`);
 - double multipliers, as accurate as the root of rounding: `_SAME_MULTIPLIER`
   (`branches.meetings`);
 - points together with their keys, on a curve: `_SAME_TURNING` (`branches.meetings`);

@@ -15,8 +15,8 @@ from gaitsweep.tasks.branches.curves import (
 from gaitsweep.tasks.branches.equations import Equations, correct_on_curve
 from gaitsweep.tasks.branches.flips import doubled_over
 from gaitsweep.tasks.branches.joint import Evaluation, evaluate
-from gaitsweep.tasks.branches.locate import repeats_no_sooner
 from gaitsweep.tasks.branches.refine import COARSE
+from gaitsweep.tasks.branches.settling import repeats_no_sooner
 from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.mechanics.arrays import Coordinates
 from gaitsweep.tasks.mechanics.lumped import alike

@@ -15,8 +15,8 @@ from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.equations import Equations, Keys
-from gaitsweep.tasks.branches.locate import repeats_no_sooner, settle_on_branches
 from gaitsweep.tasks.branches.refine import COARSE
+from gaitsweep.tasks.branches.settling import repeats_no_sooner, settle_on_branches
 from gaitsweep.tasks.contract import status
 from gaitsweep.tasks.contract.registry import GAITS, SLOPES, VARIABLES, VARIED
 from gaitsweep.tasks.gaits.polish import Guesses, Polished, settle, unmeasured

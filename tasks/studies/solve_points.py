@@ -14,8 +14,8 @@ import numpy as np
 
 from gaitsweep.tasks.branches import atlas as atlases
 from gaitsweep.tasks.branches.branch import Branch
-from gaitsweep.tasks.branches.locate import settle_on_branches
 from gaitsweep.tasks.branches.refine import COARSE, FINE
+from gaitsweep.tasks.branches.settling import settle_on_branches
 from gaitsweep.tasks.branches.tracking import MAX_MULTIPLIER
 from gaitsweep.tasks.charts.pieces import Piece, pieces_of
 from gaitsweep.tasks.contract import status

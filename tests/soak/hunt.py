@@ -12,7 +12,7 @@ from joblib import Parallel, delayed
 from scipy.optimize import differential_evolution, minimize
 
 from gaitsweep.tasks.branches.branch import Branch
-from gaitsweep.tasks.branches.locate import settle_on_branches
+from gaitsweep.tasks.branches.settling import settle_on_branches
 from gaitsweep.tasks.gaits.multipliers import multipliers
 from gaitsweep.tasks.gaits.newton import newton_step
 from gaitsweep.tasks.gaits.polish import Guesses, Polished

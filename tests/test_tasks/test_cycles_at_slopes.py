@@ -12,7 +12,7 @@ from exact_special_points import steps_of
 from extended import Walker, _derivative
 from gaitsweep.tasks.branches.atlas import from_arrays, to_arrays
 from gaitsweep.tasks.branches.flips import begun_at_flips, doubled
-from gaitsweep.tasks.branches.locate import _is_near
+from gaitsweep.tasks.branches.settling import _is_near
 from gaitsweep.tasks.branches.special_points import flips
 from gaitsweep.tasks.branches.tracking import (
     HALVED,

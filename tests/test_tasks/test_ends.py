@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gaitsweep.tasks.branches import locate, segment
+from gaitsweep.tasks.branches import segment, settling
 from gaitsweep.tasks.branches.branch import Branch
-from gaitsweep.tasks.branches.locate import settle_on_branches
 from gaitsweep.tasks.branches.segment import locate_root
+from gaitsweep.tasks.branches.settling import settle_on_branches
 from gaitsweep.tasks.branches.special_points import special_points
 from gaitsweep.tasks.contract import status
 from gaitsweep.tasks.contract.registry import GAITS, STATUSES
@@ -99,7 +99,7 @@ def test_only_guesses_that_are_lost_are_settled_again(monkeypatch):
     problem, branch, at, good, _ = between_nodes()
     settled = []
     monkeypatch.setattr(
-        locate,
+        settling,
         "settle",
         lambda p, g, **k: settled.append(g.w.shape[1]) or settle(p, g, **k),
     )
@@ -113,11 +113,11 @@ def test_only_guesses_that_are_lost_are_settled_again(monkeypatch):
 def test_a_gait_to_which_newton_jumps_from_its_branch_has_not_converged(monkeypatch):
     problem, branch, at, good, other = between_nodes()
     gait = settle(problem, good)
-    assert locate._is_near(problem, gait, good.w).all()
+    assert settling._is_near(problem, gait, good.w).all()
     for i in range(len(good.w)):
         w = good.w.copy()
         w[i] += 2e-4
-        assert not locate._is_near(problem, gait, w).any()
+        assert not settling._is_near(problem, gait, w).any()
     # It is located elsewhere, at the other gait or near it.
     for off, lies_between in (
         (0.0, Branch.lies_between),

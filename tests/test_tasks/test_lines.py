@@ -149,10 +149,10 @@ def test_a_lost_neighbour_changes_no_bit(name, trouble):
         :, : 2 * LANES
     ]
     w, q = Z[:-1], Z[-1]
-    alone, _ = problem.stride(w, q, slope=True, samples=4)
+    alone, _ = problem.stride(w, q, by_drive=True, samples=4)
     lost = w.copy()
     lost[1, ::3] = trouble
-    beside, _ = problem.stride(lost, q, slope=True, samples=4)
+    beside, _ = problem.stride(lost, q, by_drive=True, samples=4)
     intact = np.arange(len(q)) % 3 > 0
     for field in (
         "image",

@@ -105,7 +105,7 @@ def sample(name):
         settle(problem, guesses, sampled=True),
         again + 1e-6 * np.sin(np.arange(again.size)).reshape(again.shape),
     )
-    stride, scale = problem.stride(moved, q, slope=True, samples=16)
+    stride, scale = problem.stride(moved, q, by_drive=True, samples=16)
     return Sample(problem, guesses, at, (moved, stride, scale), np.exp(q))
 
 
