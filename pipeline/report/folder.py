@@ -71,38 +71,43 @@ def combine(
     """
     texts = {f"{slug}.html": text for slug, (text, _) in pages.items()}
     previous = entry.read_all(out)
-    current = {name: record for name in texts for record in entry.read(texts[name])}
-    kept = {} if only else {k: v for k, v in previous.items() if k not in texts}
-    found = kept | current
+    found = {name: record for name in texts for record in entry.read(texts[name])}
+    if not only:
+        found = {k: v for k, v in previous.items() if k not in texts} | found
     entries = sorted(found.values(), key=lambda record: record.order)
     report = _Report(environment, entries)
 
-    written = {name for record in previous.values() for name in record.files}
-    _check_own(out, pages, written)
+    _check_own(out, pages, {name for own in previous.values() for name in own.files})
     for _, files in pages.values():
         for name, text in files.items():
             _publish(out / name, text)
+    _write_pages(out, report, texts)
+    _remove_others(out, report, previous)
 
-    for record in report.shown:
-        name = f"{record.slug}.html"
-        if name in kept:
-            texts[name] = (out / name).read_text(encoding="utf-8")
-
-    for name, text in texts.items():
-        # A study that only feeds the ledger has no page.
-        if name not in current or not current[name].text:
-            _publish(out / name, report.filled(text, found.get(name)))
-
-    wanted = {f"{record.slug}.html" for record in report.shown}
-    wanted.update(*(record.files for record in entries))
-    for record in previous.values():
-        entry.remove(out, record, wanted)
     _write_ledger(out, report)
-    with contextlib.suppress(OSError):  # no data, or other files there
-        (out / "csv").rmdir()
     _publish(out / "index.html", report.page("index"))
     if bundle or (out / "bundle.html").exists():
         _write_bundle(out, report)
+
+
+def _write_pages(out: Path, report: "_Report", new: Mapping[str, str]) -> None:
+    """Write the pages of a report, of which some are new, with what each says of the
+    others.
+    """
+    for record in report.shown:
+        name = f"{record.slug}.html"
+        text = new.get(name)
+        if text is None:
+            text = (out / name).read_text(encoding="utf-8")
+        _publish(out / name, report.filled(text, record))
+
+
+def _remove_others(out: Path, report: "_Report", previous: Mapping[str, Entry]) -> None:
+    """Remove pages and data of an earlier report that this one lacks."""
+    wanted = {f"{record.slug}.html" for record in report.shown}
+    wanted.update(*(record.files for record in report.entries))
+    for record in previous.values():
+        entry.remove(out, record, wanted)
 
 
 def _write_ledger(out: Path, report: "_Report") -> None:
@@ -113,6 +118,8 @@ def _write_ledger(out: Path, report: "_Report") -> None:
         return
     for name in ("ledger.html", _LEDGER):
         (out / name).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # no folder of data, or other files there
+        (out / "csv").rmdir()
 
 
 def _write_bundle(out: Path, report: "_Report") -> None:

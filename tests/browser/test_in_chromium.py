@@ -2,7 +2,11 @@ import re
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from gaitsweep.pipeline.report import pages
+from test_report.shape import POINT, write
 
 PAGES = (
     "index",
@@ -408,6 +412,39 @@ def test_figures_fit_a_phone(opened, report, page):
     scrolled = "[...document.querySelectorAll('.frame:has(> .wide)')].map(f => getComputedStyle(f).overflowX)"
     assert set(ask(browser, scrolled)) <= {"auto"}
     assert ask(browser, "document.documentElement.scrollWidth") <= 390
+
+
+@pytest.mark.thorough
+def test_the_cells_of_figure_10_stand_below_each_other_on_a_phone(opened, tmp_path):
+    columns = ["short-step scaling", "long-step scaling", "faster gait", "chaos"]
+    cells = {
+        "walker": np.repeat(["A", "B"], len(columns)),
+        "column": columns * 2,
+        "slopes": ["vanishing"] * 8,
+        "printed": ["P ∝ v⁴, θ* ∝ γ¹ᐟ³"] * 8,
+        "computed": ["P ∝ v^4.012, θ* ∝ γ^0.3294"] * 8,
+        "verdict": ["reproduced"] * 8,
+    }
+    study = 'name = "f"\nwalker = ["A", "B"]\n[axes]\nslope = [0.01]\n'
+    tables = {"figure10_cells": cells}
+    archive = write(tmp_path / "f.nc", study, {}, {}, {"A": POINT, "B": POINT}, tables)
+    page = pages.write([archive], tmp_path / "out")
+
+    places = """[...document.querySelectorAll('td.lines')]
+        .map(cell => cell.getBoundingClientRect())"""
+    narrow = ask(opened(page, 390), f"{places}.map(b => [b.top, b.right])")
+    heads = ask(
+        opened(page, 390),
+        """[...document.querySelectorAll('td.lines')]
+        .map(cell => cell.dataset.of)""",
+    )
+    wide = ask(opened(page, 1280), f"{places}.map(b => b.top)")
+
+    assert len(narrow) == 8
+    assert len({top for top, _ in narrow}) == 8
+    assert max(right for _, right in narrow) <= 390
+    assert heads == columns * 2
+    assert len(set(wide)) == 2
 
 
 @pytest.mark.parametrize("page", ["transition", "detuning"])

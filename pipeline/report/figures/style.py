@@ -255,20 +255,31 @@ def draw_gait(
     if "stable" in curve:
         is_stable = (curve["stable"] == 1).to_numpy()
 
-    # The thin line extends one point into the thick one, so that there is no gap
-    # between them.
-    inside = is_stable & np.roll(is_stable, 1) & np.roll(is_stable, -1)
-    inside[[0, -1]] &= is_stable[[0, -1]]
     how: Any = {"color": ink, "gid": None if group is None else f"line-{group}"}
     thick: Any = {"lw": 2.6, "ls": _wide_dash(gait), "zorder": 1.9}
     axes.plot(across, upward.where(is_stable), **thick, **how)
-    axes.plot(across, upward.mask(inside), lw=1.1, ls=dash(gait), zorder=2, **how)
+    thin_part = upward.mask(_inside(is_stable))
+    axes.plot(across, thin_part, lw=1.1, ls=dash(gait), zorder=2, **how)
 
-    # A line of one point is invisible.
-    alone = upward.notna() & upward.shift().isna() & upward.shift(-1).isna()
+    alone = _alone(upward)
     for dots, size in ((alone & ~is_stable, 3), (alone & is_stable, 5)):
         if dots.any():
             axes.plot(across[dots], upward[dots], "o", ms=size, **how)
+
+
+def _inside(is_stable: np.ndarray) -> np.ndarray:
+    """Points of a thick line without its ends, over which a thin one extends, so that
+    there is no gap between them.
+    """
+    inside = is_stable & np.roll(is_stable, 1) & np.roll(is_stable, -1)
+    inside[[0, -1]] &= is_stable[[0, -1]]
+    return inside
+
+
+def _alone(values: pd.Series) -> pd.Series:
+    """Points that have no neighbour, as lines of which they would be invisible."""
+    before, after = values.shift(), values.shift(-1)
+    return values.notna() & before.isna() & after.isna()
 
 
 def write_at(
