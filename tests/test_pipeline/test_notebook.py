@@ -549,7 +549,7 @@ def test_the_time_to_go_is_planned_before_it_is_measured(shown):
 
 
 def test_the_time_to_go_is_the_sum_of_its_stages(shown):
-    cell = types.SimpleNamespace(numbers=[0])
+    cell = types.SimpleNamespace(line=0)
     atlas = types.SimpleNamespace(task="atlas", chunk=None, line=0, lines=0)
     orbit = types.SimpleNamespace(task="orbit", chunk=None, line=0, lines=0)
     points = types.SimpleNamespace(
