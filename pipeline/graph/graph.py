@@ -8,6 +8,7 @@ of a million points needs no object per point.
 
 import functools
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +19,7 @@ from gaitsweep.pipeline.graph import layers
 from gaitsweep.pipeline.graph.keys import digest, task_key
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, Grid, Shape
-from gaitsweep.pipeline.grid.method import Method, variables
+from gaitsweep.pipeline.grid.method import Method, scaling_axes, variables
 from gaitsweep.pipeline.study.model import Study
 from gaitsweep.tasks.contract.registry import TASKS
 
@@ -232,9 +233,12 @@ class Graph:
         return Node(name, keys[name], needs, line)
 
     def charted(self, charts: Node) -> int:
-        """Number of lines that charts are for."""
+        """Number of lines that charts are for, with those that differ only in units."""
         plane = self.study.plane
-        return plane.lines_in(charts.box or plane.region) if plane else 0
+        if not plane:
+            return 0
+        of_units = math.prod(map(len, scaling_axes(self.study)))
+        return of_units * plane.lines_in(charts.box or plane.region)
 
     def size(self, node: Node) -> int:
         """What plans and progress count of a node: points of a chunk, lines that charts

@@ -208,8 +208,9 @@ class Grid:
 
     @functools.cached_property
     def alike(self) -> int:
-        """Lines that differ only in their units, of which one is solved: in a chunk, or
-        in the study if chunks are of one line.
+        """Lines that differ only in their units, of which one is solved: those of a
+        chunk; if chunks are of one line, those of the study, of which each process solves
+        one and remembers it.
         """
         sizes = {axis.name: len(axis) for axis in scaling_axes(self.study)}
         if self.method.is_of_lines:

@@ -31,7 +31,8 @@ def minified(script: str) -> str:
     Raises
     ------
     ValueError
-        If a block ends in an empty statement, which would be lost.
+        If a block ends in an empty statement, which would be lost, or in what looks like
+        one: the condition of a `do`.
     """
     pieces = [*_pieces(rjsmin.jsmin(script))]
     _check_statements("".join(piece if is_code else "0" for is_code, piece in pieces))

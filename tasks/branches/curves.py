@@ -187,7 +187,9 @@ class _Followed(engine.Tracks):
 
 
 def _ended(track: Track, end: OnCurve) -> Track:
-    """A track up to the border, or once round."""
+    """A track up to the border, or once round. One that meets a flip of half as many
+    steps keeps its first point beyond it, so that its last segment spans the flip.
+    """
     if track.stop_reason == CLOSED:  # at its start, beyond which the last point lies
         track.Z[:, -1] = track.Z[:, 0]
         track.tangent[:, -1] = track.tangent[:, 0]

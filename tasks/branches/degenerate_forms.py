@@ -246,14 +246,29 @@ def _between(
         for end in (a, b)
         for share in _TOWARDS_LOST.tolist()
     ]
-    for c, d in itertools.pairwise(_certain([a, *beside, b])):
+    certain = [*_certain([a, *beside, b])]
+    for k, (c, d) in enumerate(itertools.pairwise(certain)):
         if c.sign == d.sign:
             continue
         if not c.place < lost.place < d.place:
             yield from _between(curve, c, d)
-        elif max(c.size, d.size) < min(a.size, b.size):
-            # On both sides it falls towards zero, which lies between the two.
+        elif _reaches_zero(certain[: k + 1], d) and _reaches_zero(certain[:k:-1], c):
             yield lost.place, (c.X + d.X) / 2, np.abs(d.X - c.X)[-2:] / 2 + 8 * EPS
+
+
+def _reaches_zero(side: Sequence[_Sample], other: _Sample) -> bool:
+    """Whether the chord through the last two samples of a side of a gap goes on to zero
+    before the sample at its other side.
+    """
+    if len(side) < 2:
+        return False
+    before, last = side[-2:]
+    change = last.form.coefficient - before.form.coefficient
+    falls = change * last.form.coefficient < 0
+    if not falls:
+        return False
+    beyond = -last.form.coefficient * (last.place - before.place) / change
+    return bool(abs(beyond) <= abs(other.place - last.place))
 
 
 @dataclass(frozen=True)

@@ -140,8 +140,8 @@ def _is_near(problem: Problem, at: Polished, w: Unknowns) -> ndarray:
 
 
 def repeats_no_sooner(problem: Problem, w: Unknowns, guess: Unknowns) -> ndarray:
-    """Return whether gaits (m + k, n) of several steps repeat after no fewer, as their
-    guesses do, shape (n,).
+    """Return whether gaits (m + k, n) of several steps repeat after no fewer, shape (n,):
+    their steps stay about as far apart as those of their guesses.
     """
     apart = distances_of_steps(w, problem.m, problem.steps)
     of_guess = distances_of_steps(guess, problem.m, problem.steps)

@@ -61,7 +61,7 @@ def use(name: str) -> None:
 
     try:
         _open_locks(folder.parent)
-        _make_room(folder.parent)
+        _make_room(folder)
         # A cache that another process is just making has no tables yet, which would
         # count as damage.
         with turn(folder.name):
@@ -91,8 +91,7 @@ def _may_be_used(folder: Path) -> bool:
     if folder in _checked:
         return True
     if not _is_intact(folder):
-        is_ours = all((folder / name).exists() for name in (_CACHE, _SUMS))
-        if not is_ours:
+        if not _is_ours(folder):
             return False
         _remove(folder)
 
@@ -101,22 +100,30 @@ def _may_be_used(folder: Path) -> bool:
 
 
 @functools.cache
-def _make_room(cache: Path) -> None:
-    """Remove the folders that were used longest ago where all together are too large."""
+def _make_room(wanted: Path) -> None:
+    """Remove folders that were used longest ago where all together are too large, but
+    not the one that is wanted, nor what is another program's.
+    """
     used = []
-    for folder in cache.iterdir():
+    for folder in wanted.parent.iterdir():
         with contextlib.suppress(OSError):
+            if folder.is_symlink() or not _is_ours(folder):
+                continue
             files = [file.stat() for file in _files(folder) if file.exists()]
-            if files:
-                newest = max(status.st_mtime for status in files)
-                size = sum(status.st_size for status in files)
-                used.append((newest, size, folder))
+            newest = max(status.st_mtime for status in files)
+            size = sum(status.st_size for status in files)
+            used.append((folder == wanted, newest, size, folder))
 
     total = 0
-    for _, size, folder in sorted(used, reverse=True):
+    for is_wanted, _, size, folder in sorted(used, reverse=True):
         total += size
-        if total > _LIMIT:
+        if total > _LIMIT and not is_wanted:
             _remove(folder)
+
+
+def _is_ours(folder: Path) -> bool:
+    """Whether a folder holds a cache that has checksums, as all of this program have."""
+    return all((folder / name).is_file() for name in (_CACHE, _SUMS))
 
 
 @contextlib.contextmanager

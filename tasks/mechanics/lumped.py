@@ -103,8 +103,8 @@ def _lump_all(walkers: WalkerArray, number: type) -> dict[str, PerLane]:
 
 
 def _of_links(leg: _Leg, m_t: PerLane, m_s: PerLane) -> dict[str, Any]:
-    """First and second moments about the hip of the swing leg's links, by the masses of
-    thigh and shank: `S_b` and `C_bb` of a thigh with the shank's mass at the knee, `S_c`
+    """First and second moments of the swing leg's links, by the masses of thigh and shank:
+    `S_b` and `C_bb` of the thigh, with the shank's mass at the knee, about the hip; `S_c`
     and `C_cc` of the shank about the knee.
     """
     of_thigh = m_t * _square(leg, leg.thigh, leg.key.r_t)

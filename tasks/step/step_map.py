@@ -214,6 +214,7 @@ class StrideMap:
         rates just before heelstrike, without derivatives; it has the guard of
         kneestrike.
         """
+        prepare_compiler(self.structure)
         p, y, x = Symbols(self.structure), vector("y", self.m), vector("x", 4)
         guards = [hy.make_vars("guard")] if self.kneed else []
         section = end_of_step(self.structure, p, x)

@@ -436,8 +436,8 @@ def strikes_fall_in_order(
     durations = np.diff(times, axis=0, prepend=0)
     height = durations * -closing
     falls = (closing < 0) & (height > -touch)
-    is_late = times[0] > 0
-    return _all(falls) & is_late
+    is_after_start = times[0] > 0
+    return _all(falls) & is_after_start
 
 
 #: Weights of the second derivative of a polynomial, half of it, at a point where it and

@@ -87,8 +87,9 @@ def _curves(
         if not first.ok[0] or not _is_new(gaits, followed, first.Z, guess):
             continue
         points, tangents, _ = follow_both_directions(gaits, first, np.array([window]))
-        followed.append(points)
-        yield points, tangents
+        if len(points) > 1:
+            followed.append(points)
+            yield points, tangents
 
 
 def _is_new(

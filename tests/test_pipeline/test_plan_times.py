@@ -17,6 +17,7 @@ from gaitsweep.pipeline.graph.graph import Graph
 from gaitsweep.pipeline.graph.plan import Plan, summary
 from gaitsweep.pipeline.grid.choose_method import method_of, seconds_over_plane
 from gaitsweep.pipeline.store.memory import Memory
+from gaitsweep.pipeline.store.store import Outcome
 from gaitsweep.pipeline.study.parse import read
 
 LINE = 'name = "s"\nwalker = "D"\n[axes]\nslope = { from = 0.001, to = 0.02, n = 20 }\n'
@@ -177,6 +178,22 @@ def test_lines_that_differ_in_units_are_planned_as_one(tmp_path, name):
 
     # Each point is converted, which takes little.
     assert 0.9 * one < sixty < 2 * one
+
+
+def test_charts_are_planned_alike_whether_or_not_anything_is_stored(tmp_path):
+    """Those of walkers that differ only in units are of all their lines."""
+    units = "g = { from = 1.0, to = 10.0, n = 60 }\n"
+    (tmp_path / "s.toml").write_text(STUDIES["a plane"] + units)
+    study = read(tmp_path / "s.toml")
+    other = Memory()
+    other.put_result("another task", Outcome("ok", ""), b"")
+
+    nothing = summary(Plan(study, Memory()))
+    something = summary(Plan(study, other))
+
+    assert something.todo["charts"] == nothing.todo["charts"] != {}
+    assert something.cached["charts"] == 0
+    assert something.seconds == pytest.approx(nothing.seconds)
 
 
 def test_a_plan_for_machines(tmp_path, monkeypatch, capsys):

@@ -197,13 +197,36 @@ def test_folders_used_longest_ago_make_room(cache, heyoka, monkeypatch):
         entries(heyoka.path, size=80_000)
         for file in heyoka.path.iterdir():
             os.utime(file, (1e9 - age, 1e9 - age))
-    compile_cache._make_room.cache_clear()
+    other = cache / "of another program"
+    other.mkdir()
+    entries(other, size=80_000)
+    os.utime(other / "cache.db", (1e8, 1e8))
 
     compile_cache.use("another")
 
     are_kept = [(folder / "cache.db").exists() for folder in folders]
     assert are_kept == [True, True, False]
+    assert (other / "cache.db").exists()
     assert heyoka.is_enabled
+
+
+def test_a_folder_that_is_wanted_is_kept_however_long_ago_it_was_used(
+    cache, heyoka, monkeypatch
+):
+    folders = []
+    for age, name in enumerate(["new", "old"]):
+        compile_cache.use(name)
+        folders.append(heyoka.path)
+        entries(heyoka.path, size=80_000)
+        for file in heyoka.path.iterdir():
+            os.utime(file, (1e9 - age, 1e9 - age))
+    monkeypatch.setattr(compile_cache, "_LIMIT", 100_000)
+    compile_cache._make_room.cache_clear()
+
+    compile_cache.use("old")
+
+    are_kept = [(folder / "cache.db").exists() for folder in folders]
+    assert are_kept == [False, True]
 
 
 def test_a_database_of_another_program_is_left_alone(cache, heyoka):

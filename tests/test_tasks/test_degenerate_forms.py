@@ -227,6 +227,16 @@ def test_a_pole_where_points_are_lost_is_no_root(between, monkeypatch, lost):
     assert not vanishing_between(between, monkeypatch, pole, lost=lost)
 
 
+def test_a_jump_where_points_are_lost_is_no_root(between, monkeypatch):
+    """It falls a little towards the gap on both sides."""
+
+    def jump(key):
+        off = float(key - ROOT)
+        return np.sign(off) * (0.99 + abs(off))
+
+    assert not vanishing_between(between, monkeypatch, jump, lost=LOST)
+
+
 def test_a_root_is_found_beside_a_place_where_points_are_lost(between, monkeypatch):
     root = 0.468
     where_first_sought = 0.4695, 0.472
