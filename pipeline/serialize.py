@@ -4,10 +4,11 @@ Not pickle: a header of JSON, in which an array is `{"": [dtype, shape]}`, then 
 bytes of the arrays. Untrusted bytes can raise only ValueError.
 """
 
+import functools
 import json
 import math
 import struct
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -55,27 +56,7 @@ def load(data: bytes) -> Any:
         (size,) = struct.unpack_from("<I", data)
         offset = 4 + size
         offset += -offset % _ALIGN
-
-        def restore(x: dict[str, Any]) -> Any:
-            nonlocal offset
-            if "" not in x:
-                return x
-
-            text, shape = x[""]
-            dtype = np.dtype(str(text))
-            if dtype.kind not in "fiubU" or not all(
-                isinstance(n, int) and n >= 0 for n in shape
-            ):
-                raise ValueError("unknown array")
-
-            count = math.prod(shape)
-            values = np.empty(0, dtype)
-            if count:
-                values = np.frombuffer(data, dtype, count, offset)
-            offset += values.nbytes + -values.nbytes % _ALIGN
-            return values.reshape(shape)
-
-        return json.loads(data[4 : 4 + size], object_hook=restore)
+        return _filled(_parsed(data[4 : 4 + size]), data, offset)
     except (
         struct.error,
         KeyError,
@@ -84,3 +65,56 @@ def load(data: bytes) -> Any:
         UnicodeDecodeError,
     ) as error:
         raise ValueError(f"not packed data: {error}") from error
+
+
+class _Array(NamedTuple):
+    """Where the bytes of an array begin, after those of the header, and what they are."""
+
+    begin: int
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+
+    def of(self, data: bytes, offset: int) -> np.ndarray:
+        count = math.prod(self.shape)
+        if not count:
+            return np.empty(self.shape, self.dtype)
+        values = np.frombuffer(data, self.dtype, count, offset + self.begin)
+        return values.reshape(self.shape)
+
+
+@functools.lru_cache(256)
+def _parsed(header: bytes) -> Any:
+    """The tree of a header, with an `_Array` for each array. Heads of chunks have few
+    headers, and take most of their time to parse.
+    """
+    begin = 0
+
+    def array(x: dict[str, Any]) -> Any:
+        nonlocal begin
+        if "" not in x:
+            return x
+
+        text, shape = x[""]
+        dtype = np.dtype(str(text))
+        if dtype.kind not in "fiubU" or not all(
+            isinstance(n, int) and n >= 0 for n in shape
+        ):
+            raise ValueError("unknown array")
+
+        found = _Array(begin, dtype, tuple(shape))
+        size = math.prod(shape) * dtype.itemsize
+        begin += size + -size % _ALIGN
+        return found
+
+    return json.loads(header, object_hook=array)
+
+
+def _filled(tree: Any, data: bytes, offset: int) -> Any:
+    """A tree like the one parsed, with its arrays."""
+    if isinstance(tree, _Array):
+        return tree.of(data, offset)
+    if isinstance(tree, dict):
+        return {name: _filled(value, data, offset) for name, value in tree.items()}
+    if isinstance(tree, list):
+        return [_filled(value, data, offset) for value in tree]
+    return tree
