@@ -30,6 +30,7 @@ from gaitsweep.pipeline.report.minified import minified
 from gaitsweep.pipeline.report.source import Source, read
 from gaitsweep.pipeline.report.time_to_go import TimeToGo, work
 from gaitsweep.pipeline.report.words import grouped, plain
+from gaitsweep.pipeline.terminal import duration
 from gaitsweep.pipeline.without_dask import without_dask
 
 #: HTML and CSS of the pages, and the modules of their script.
@@ -408,9 +409,8 @@ def _origin(source: Source) -> str:
     ]
     if isinstance(account, dict) and isinstance(account.get("workers_cpu"), float):
         jobs = source.run.get("jobs", "?")
-        parts.append(
-            f"{account['workers_cpu']:.2g} s CPU, {jobs} worker{'' if jobs == 1 else 's'}"
-        )
+        used = duration(float(f"{account['workers_cpu']:.2g}"))
+        parts.append(f"{used} CPU, {jobs} worker{'' if jobs == 1 else 's'}")
 
     return ", ".join(parts)
 

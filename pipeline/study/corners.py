@@ -117,7 +117,7 @@ def _not_led(study: Study) -> list[str]:
     is_led = "detuning" in _keys_of_curves(study) if study.kind == "curve" else False
     led = is_led or any(axis.name == "detuning" for axis in study.line_axes)
     return [
-        f"`toward` is of no effect without `detuning`: the walker is {check['way']['start']}."
+        f"`toward` changes nothing without `detuning`: the walker is {check['way']['start']}."
         for walker, check in zip(study.walkers, study.checks, strict=True)
         if "toward" in walker and "detuning" not in walker and not led
     ]

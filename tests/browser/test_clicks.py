@@ -91,6 +91,33 @@ def test_cells_of_maps_walk_as_the_archive_says(walk, walking, name, count):
     assert clicked >= count and wrong == []
 
 
+#: What a map says under the pointer and where it is clicked, at places along a line: a
+#: click has whole pixels.
+_POINT_AND_CLICK = """
+const plot = document.querySelector("#heatmap .plot"), picture = plot.querySelector("svg");
+const told = () => [...plot.querySelectorAll(".tip dd")].map(dd => dd.textContent).join();
+const box = plot.getBoundingClientRect(), found = [];
+for (let x = 0.3; x < 0.7; x += 0.0011) {
+  const where = { bubbles: true, pointerType: "mouse", clientX: box.left + x * box.width, clientY: box.top + 0.4 * box.height };
+  picture.dispatchEvent(new PointerEvent("pointermove", where));
+  const before = told();
+  picture.dispatchEvent(new PointerEvent("pointerdown", where));
+  picture.dispatchEvent(new PointerEvent("pointerup", where));
+  picture.dispatchEvent(new MouseEvent("click", where));
+  found.push([before, told()]);
+  plot.dispatchEvent(new Event("blur"));
+}
+return found;"""  # noqa: E501
+
+
+def test_a_click_is_on_the_cell_that_the_pointer_told(walk):
+    """Of two that meet within a pixel it was the other, on dense screens."""
+    told = walk("map", still=True).execute_script(_POINT_AND_CLICK)
+
+    assert len({before for before, _ in told if before}) > 5
+    assert [pair for pair in told if pair[0] != pair[1]] == []
+
+
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize(

@@ -314,7 +314,7 @@ def test_a_walker_between_two_that_cannot_be_fails_alone():
 def test_a_way_that_nothing_goes_is_told(tmp_path):
     study = parse.read(written(tmp_path, TABLE.format('"D"'), ""))
     assert corners.notes(study) == [
-        "`toward` is of no effect without `detuning`: the walker is E."
+        "`toward` changes nothing without `detuning`: the walker is E."
     ]
     assert corners.notes(parse.read(written(tmp_path))) == []
     table = '{ base = "E", toward = "D", detuning = 0.5 }'

@@ -214,7 +214,7 @@ def _draw_column(
         seen = thin(line.rows[np.isfinite(line.rows[column])], 400)
         axes.plot(seen[along], seen[column], ".", color=ink, ms=2.5)
         how = {"tips": tips, "x": along, "y": column, "along": along}
-        sketch.mark(axes, seen, name, command=line.command, **how)
+        sketch.mark(axes, seen, name, **how)
         kept = [c for c in (along, column, "standard_error") if c in line.rows]
         sketch.pieces.append(line.rows[kept].assign(line=line.label))
 

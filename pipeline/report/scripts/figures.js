@@ -226,9 +226,9 @@ for (const plot of nodesOf(".plot")) {
     look(view.w * Math.exp(event.deltaY * (event.ctrlKey ? 0.01 : 0.002)), pointer(event));
   }, { passive: false });
   const fingers = new Map(), box = plot.appendChild(make("span", "box"));
-  let moved = false, wanted = null;
+  let moved = false, wanted = null, tap = null;
   box.hidden = true;
-  svg.onpointerdown = event => { fingers.set(event.pointerId, event); moved = false; };
+  svg.onpointerdown = event => { fingers.set(event.pointerId, tap = event); moved = false; };
   addEventListener("pointermove", event => {
     const last = fingers.get(event.pointerId);
     if (!last) return;
@@ -271,7 +271,9 @@ for (const plot of nodesOf(".plot")) {
   plot.onpointerleave = () => { if (!pinned) hide(); };
   plot.onclick = event => {
     if (moved || tip.contains(event.target) || event.target.closest(".legend, .tools")) return;
-    const item = under(event), wish = item && wishOf(item);
+    // A click is rounded to whole pixels, where dense screens have more: its press is not.
+    const item = under(tap ?? event), wish = item && wishOf(item);
+    tap = null;
     if (item) { show(item); pinned = true; tip.classList.add("pinned"); } else hide();
     if (wish) { select(wish, { dock: true }); if (matchMedia("(max-width: 40rem)").matches) hide(); }
   };
