@@ -17,8 +17,8 @@ from gaitsweep.tasks.proofs.gait import prove
 PHYSICS = {
     "sign of the swing leg's weight": (
         "motion",
-        "k) - weight[j + 1][0]",
-        "k) + weight[j + 1][0]",
+        "turning - swing_weights[j]",
+        "turning + swing_weights[j]",
         "DA",
     ),
     "sign of the knee's centrifugal term": (
@@ -29,8 +29,8 @@ PHYSICS = {
     ),
     "sign in the mass matrix": (
         "motion",
-        "hinge_y + body.R * y)",
-        "hinge_y - body.R * y)",
+        "whole_y = hinge_y + body.R * y",
+        "whole_y = hinge_y - body.R * y",
         "A",
     ),
     "mass of one shank": (
@@ -54,8 +54,8 @@ PHYSICS = {
     ),
     "no rolling while swinging": (
         "motion",
-        "body.g * body.mass * body.R * sin\n",
-        "0 * body.R\n",
+        "self.rolling = of_foot * sin",
+        "self.rolling = 0 * of_foot",
         "AC",
     ),
     "no rolling at impacts": (
@@ -66,14 +66,14 @@ PHYSICS = {
     ),
     "stance knee of the impact free": (
         "collisions",
-        "second + (body.coupling.x if body.frees_trailing_knee else 0)",
-        "second",
+        "own = inertia + body.coupling.x",
+        "own = inertia",
         "C",
     ),
     "impulse at the wrong foot": (
         "collisions",
-        "_hip(body, old), _hip(body, new)",
-        "_hip(body, new), _hip(body, old)",
+        "hip_before = _hip(body, old)",
+        "hip_before = _hip(body, new)",
         "DAC",
     ),
 }
