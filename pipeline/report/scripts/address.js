@@ -291,10 +291,10 @@ function cellOf(map, [column, row]) {
   const known = field("present") !== false, digits = value => Number(value.toPrecision(9)), own = field("still") ? 0 : field("slope");
   const slope = values.slope ?? (own === undefined ? fixed.slope : digits(own)), at = { ...fixed, ...values }, angle = field("stance_angle");
   delete at.slope;
-  const set = Object.entries(values).filter(([key]) => key !== "slope").map(([key, value]) => ` --set ${key}=${value}`).join("");
+  const options = Object.entries(values).filter(([key]) => key !== "slope").map(([key, value]) => ` --set ${key}=${value}`).join("");
   const shown = map.shown.map(([name, key]) => [name, key in values ? values[key] : known ? key === "slope" ? slope : field(key) : "–"]);
   const start = known && angle !== undefined ? [angle, ...RATES.filter(name => name in fields).map(name => field(name) * angle)] : null;
-  return { at, slope, known, start, shown, command: map.command + set };
+  return { at, slope, known, start, shown, command: map.command + options };
 }
 
 /** Gait of a cell of a map; null where there is none. */

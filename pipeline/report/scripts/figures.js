@@ -15,7 +15,7 @@ for (const plot of nodesOf(".plot")) {
   }
   for (const curve of series) curve.starts &&= curve.starts.map(place => STATES[place]);
   MAPS.push(...panels);
-  tip.setAttribute("role", "status");
+  set(tip, { role: "status" });
   let at = null, pinned = false, chosen = null;
 
   // From the picture's coordinates to pixels of the plot and back.
@@ -205,7 +205,7 @@ for (const plot of nodesOf(".plot")) {
     view.x = min(width - next, max(0, x - (x - view.x) * share));
     view.y = min(height - next * height / width, max(0, y - (y - view.y) * share));
     view.w = next;
-    svg.setAttribute("viewBox", `${view.x} ${view.y} ${next} ${next * height / width}`);
+    set(svg, { viewBox: `${view.x} ${view.y} ${next} ${next * height / width}` });
     plot.classList.toggle("zoomed", next < width);
     label();
     if (at && !tip.hidden) show(at);
@@ -305,10 +305,8 @@ for (const plot of nodesOf(".plot")) {
   // The picture as a file, in the colours of the page as it is seen.
   function picture() {
     const copy = svg.cloneNode(true), style = getComputedStyle(document.documentElement), ground = style.getPropertyValue("--paper");
-    copy.setAttribute("width", 2 * width);
-    copy.setAttribute("height", 2 * height);
+    set(copy, { width: 2 * width, height: 2 * height, "font-family": "sans-serif" });
     copy.prepend(draw("rect", copy, { x: -9, y: -9, width: width + 18, height: height + 18, fill: ground }));
-    copy.setAttribute("font-family", "sans-serif");
     return new XMLSerializer().serializeToString(copy).replace(/var\((--[\w-]+)\)/g, (_, name) => style.getPropertyValue(name).trim());
   }
   function save(address, ending) {

@@ -10,6 +10,7 @@ const MAX_ANGLE = exp(0.5), MAX_TIME = 12, TIME_STEP = 1 / 32;
 const FALLS = { backward: "fell backward", forward: "fell forward", knee: "the knee never struck", foot: "the foot never struck", lost: "the motion was lost" };
 const VIOLATIONS = ["foot scuffs mid-swing", "stance knee unlocks", "contact tension", "friction", "release hyperextends", "release penetrates", "trailing foot pulls", "trailing knee unlocks", "push-off slips", "takes off"];
 
+const vector = (values, change) => Float64Array.from(values, change);
 const plus = (a, b) => [a[0] + b[0], a[1] + b[1]];
 const minus = (a, b) => [a[0] - b[0], a[1] - b[1]];
 const multiply = (a, b) => [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]];
@@ -65,7 +66,7 @@ function makeWalker(keys) {
   const placeOf = (groups, link) => groups.findIndex(g => g.includes(link));
   const gathered = groups => {
     const add = list => list.reduce(plus, none);
-    const flat = (values, part) => Float64Array.from(values.flat(), v => v[part]);
+    const flat = (values, part) => vector(values.flat(), v => v[part]);
     const k = groups.map(g => groups.map(h => [add(g.flatMap(i => h.map(j => K[i][j])))])).flat();
     const s = groups.map(g => add(g.map(i => S[i]))), r = groups.map(g => add(g.map(i => rows[i])));
     return { n: groups.length, groups, hip: hip.some(abs) && hip, massless, stance: placeOf(groups, 1), swing: placeOf(groups, 2), R: keys.R / leg, kr: flat(k, 0), ki: flat(k, 1),
@@ -149,7 +150,7 @@ function advance(chain, x, first, slope, h) {
   const slopes = [first];
   let stage;
   for (const weights of STAGES) {
-    stage = Float64Array.from(x);
+    stage = vector(x);
     weights.forEach((weight, k) => { for (let i = 0; i < stage.length; i++) stage[i] += h * weight * slopes[k][i]; });
     if (slopes.length < STAGES.length) slopes.push(derivative(chain, stage, slope));
   }
@@ -219,13 +220,13 @@ function flyPhase(chain, start, begin, slope, slack = 0) {
 
 const product = (chain, q, rate) => {
   const M = massMatrix(chain, q), { n } = chain;
-  return Float64Array.from({ length: n }, (_, i) => sum(Array.from(rate, (r, j) => M[i * n + j] * r)));
+  return vector({ length: n }, (_, i) => sum(Array.from(rate, (r, j) => M[i * n + j] * r)));
 };
 
 /** Locked state after kneestrike: the momenta of the stance leg and of the whole swing leg are conserved. */
 function lockKnee(walker, x) {
   const p = product(walker.free, x.subarray(0, 3), x.subarray(3)), q = [x[0], x[1]];
-  return Float64Array.from([...q, ...solveLast(massMatrix(walker.locked, q), Float64Array.of(p[0], p[1] + p[2]))]);
+  return vector([...q, ...solveLast(massMatrix(walker.locked, q), vector([p[0], p[1] + p[2]]))]);
 }
 
 /** Velocity of the foot that lands, with the stance angle after heelstrike and the rates of both legs before it. */
@@ -251,7 +252,7 @@ function pushing(walker, angle) {
 function pushOff(walker, angle) {
   const { u, along } = pushing(walker, angle), chain = walker.striking, { n } = chain, P = walker.push;
   if (walker.massless) return { u, velocity: u.map(v => P * v), rates: new Float64Array(n), work: P * P / 2 };
-  const q = Float64Array.of(angle, -angle, -angle).subarray(0, n), M = massMatrix(chain, q), levers = Array.from(q, (_, j) => lever(chain, q, j));
+  const q = vector([angle, -angle, -angle]).subarray(0, n), M = massMatrix(chain, q), levers = Array.from(q, (_, j) => lever(chain, q, j));
   const rows = [[1, 0, ...levers.map(w => w[0])], [0, 1, ...levers.map(w => w[1])]];
   levers.forEach((w, i) => rows.push([...w, ...M.subarray(i * n, i * n + n)]));
   const given = [...u, ...along], [x, y, ...rates] = solveRows(rows, given.map(v => P * v));
@@ -270,7 +271,7 @@ function strikeHeel(walker, angle, rates) {
   if (walker.push) pushing(walker, angle).along.forEach((v, i) => { if (!walker.massless || !i) momentum[i] += walker.push * v; });
   const after = solveLast(massMatrix(chain, q), momentum);
   // A trailing knee that was locked meanwhile is released with the rate of the whole leg.
-  return Float64Array.from(walker.locks ? [...q, -angle, ...after, after[1]] : [...q, ...after]);
+  return vector(walker.locks ? [...q, -angle, ...after, after[1]] : [...q, ...after]);
 }
 
 /**
@@ -283,7 +284,7 @@ function flyStep(walker, start, slope, begin = 0, slack = 0) {
   const phases = [], fell = fall => ({ phases, kneestrike, fall });
   let x = start, now = begin, kneestrike = null;
   if (!begin && !(x[0] > 0)) {
-    phases.push(flyPhase(walker.locked, Float64Array.from(x.length === 6 ? [x[0], x[1], x[3], x[4]] : x), 0, slope));
+    phases.push(flyPhase(walker.locked, vector(x.length === 6 ? [x[0], x[1], x[3], x[4]] : x), 0, slope));
     return fell("backward");
   }
   if (x.length === 6) {

@@ -3,7 +3,7 @@
 // Section coordinates y are three for every walker: the stance angle and both rates after heelstrike or, with knees, the
 // angle and the rates of the old stance and swing leg before it, of which the three rates after it are linear.
 
-const stateAt = (walker, y) => walker.kneed ? strikeHeel(walker, y[0], [y[1], y[2]]) : Float64Array.of(y[0], -y[0], y[1], y[2]);
+const stateAt = (walker, y) => walker.kneed ? strikeHeel(walker, y[0], [y[1], y[2]]) : vector([y[0], -y[0], y[1], y[2]]);
 
 /** Section coordinates of a state just after heelstrike: with knees, of the nearest that a heelstrike gives. */
 function sectionOf(walker, x) {
@@ -18,7 +18,7 @@ function sectionOf(walker, x) {
 /** A state from the angle and the rates just after heelstrike, in the walker's units; absent rates are what the impact gives. */
 function stateOf(walker, [angle, stance, thigh, shank]) {
   const rates = [stance, thigh, shank ?? thigh].slice(0, walker.kneed ? 3 : 2).map(rate => rate * walker.time);
-  if (isFinite(thigh)) return Float64Array.from([angle, -angle, ...(walker.kneed ? [-angle] : []), ...rates]);
+  if (isFinite(thigh)) return vector([angle, -angle, ...(walker.kneed ? [-angle] : []), ...rates]);
   const [unit, none] = [[1, 0], [0, 0]].map(before => strikeHeel(walker, angle, before)), k = unit.length / 2;
   return strikeHeel(walker, angle, [(rates[0] - none[k]) / (unit[k] - none[k]), 0]);
 }
@@ -119,7 +119,7 @@ function multipliersOf(J) {
 
 /** Rates of a chain for unit impulses along rows: r M^-1 r^T. */
 function compliance(chain, q, rows) {
-  const responses = rows.map(row => solveLast(massMatrix(chain, q), Float64Array.from(row)));
+  const responses = rows.map(row => solveLast(massMatrix(chain, q), vector(row)));
   return rows.map(row => responses.map(response => dot(row, response)));
 }
 

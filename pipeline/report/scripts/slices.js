@@ -40,7 +40,7 @@ for (const box of nodesOf(".slices")) {
     if (!cells[cell]) return;
     cells[at]?.removeAttribute("stroke");
     at = cell;
-    cells[at].setAttribute("stroke", "var(--bad)");
+    set(cells[at], { stroke: "var(--bad)" });
     svg.append(cells[at]);
     const value = values[indexOf(cell)], places = placesOf(cell);
     const pairs = axes.map((axis, k) => [axis.title, axis.values[places[k]]]);

@@ -7,9 +7,12 @@ const isBrowsers = event => event.ctrlKey || event.metaKey || event.altKey;
 /** Rows down and columns to the right that a key moves by. */
 const ARROWS = { ArrowRight: [0, 1], ArrowLeft: [0, -1], ArrowDown: [1, 0], ArrowUp: [-1, 0] };
 const nodesOf = selector => document.querySelectorAll(selector);
+function set(node, attributes) {
+  for (const name in attributes) node.setAttribute(name, attributes[name]);
+}
 function draw(tag, parent, attributes, text) {
   const node = document.createElementNS(PICTURES, tag);
-  for (const name in attributes) node.setAttribute(name, attributes[name]);
+  set(node, attributes);
   if (text !== undefined) node.textContent = text;
   return parent.appendChild(node);
 }
@@ -79,7 +82,7 @@ class Motion {
   pushed(time, change) {
     const { k, step, t, foot } = this.at(time);
     if (step.fall) return this;
-    const phase = step.phases.find(part => t <= part.samples.at(-1)[0]) ?? step.phases.at(-1), x = Float64Array.from(sampleAt(phase, t)), n = x.length / 2;
+    const phase = step.phases.find(part => t <= part.samples.at(-1)[0]) ?? step.phases.at(-1), x = vector(sampleAt(phase, t)), n = x.length / 2;
     x[n] += change[0];
     for (let i = n + 1; i < 2 * n; i++) x[i] += change[1];
     const before = step.phases.filter(part => part.samples.at(-1)[0] < t || part === phase)
@@ -127,25 +130,25 @@ function makeStage(svg) {
       const camera = motion.repeats ? time * motion.speed : current.hip[0];
       const place = p => [STAGE.width / 2 + (p[0] - camera) * scale, STAGE.floor - p[1] * scale];
       const odd = (now.k + (motion.number ?? 0)) % 2, legs = odd ? [current.swing, current.stance] : [current.stance, current.swing];
-      actor.heavy.setAttribute("stroke", ink);
-      [actor.heavy, actor.light].forEach((node, i) => node.setAttribute("d", pathOf(legs[i].line, place) + pathOf(legs[i].sole, place)));
-      const [x, y] = place(current.hip);
-      actor.hip.setAttribute("cx", x); actor.hip.setAttribute("cy", y);
+      set(actor.heavy, { stroke: ink });
+      [actor.heavy, actor.light].forEach((node, i) => set(node, { d: pathOf(legs[i].line, place) + pathOf(legs[i].sole, place) }));
+      const [cx, cy] = place(current.hip);
+      set(actor.hip, { cx, cy });
       // A strike is marked for a little while where it happens.
       const flash = 0.16, struck = now.t < flash && now.k > 0 ? ["heelstrike", place(current.stance.line[2])]
         : now.step.kneestrike !== null && now.t >= now.step.kneestrike && now.t < now.step.kneestrike + flash ? ["kneestrike", place(current.swing.line[1])] : null;
       actor.spark.style.display = struck ? "" : "none";
-      if (struck) { actor.spark.setAttribute("cx", struck[1][0]); actor.spark.setAttribute("cy", struck[1][1]); }
+      if (struck) { set(actor.spark, { cx: struck[1][0], cy: struck[1][1] }); }
       if (number) return;
       word = now.step.fall && now.t >= durationOf(now.step) - 1e-9 ? FALLS[now.step.fall] : struck ? struck[0] : "";
-      world.setAttribute("transform", `rotate(${motion.slope * DEGREES} ${STAGE.width / 2} ${STAGE.floor})`);
+      set(world, { transform: `rotate(${motion.slope * DEGREES} ${STAGE.width / 2} ${STAGE.floor})` });
       const reach = STAGE.width / scale, gap = motion.repeats ? motion.stride(motion.steps[0]) : 0.25, every = gap * scale < 14 ? ceil(14 / (gap * scale)) * gap : gap;
       let d = pathOf([[camera - reach, 0], [camera + reach, 0]], place);
       for (let k = floor((camera - reach) / every); k * every < camera + reach; k++) d += pathOf([[k * every, 0], [k * every, -.035]], place);
-      ground.setAttribute("d", d);
+      set(ground, { d });
       const past = [], beat = (motion.steps[0].period ?? 3) / 14;
       for (let s = max(motion.begins[0], time - 28 * beat); s < time; s += beat) past.push(pose(walker, motion.at(s)).hip);
-      trail.setAttribute("d", past.length > 1 ? pathOf(past, place) : "");
+      set(trail, { d: past.length > 1 ? pathOf(past, place) : "" });
       incline.textContent = `γ = ${brief(motion.slope, 3)} rad = ${brief(motion.slope * DEGREES, 3)}°`;
     });
     said.textContent = word;
@@ -186,5 +189,5 @@ function drawPortrait(svg, motion, ink, time, unit) {
   for (const v of ticks(left, right)) { const [x] = place([v, 0]); draw("path", svg, { d: `M${x} ${y0 - 3}v6`, stroke: "var(--muted)" }); say(x, 203, brief(v, 2), "middle"); }
   for (const v of ticks(low / time, high / time)) { const [, y] = place([0, v * time]); draw("path", svg, { d: `M${x0 - 3} ${y}h6`, stroke: "var(--muted)" }); say(x0 + 8, y + 4, brief(v, 2)); }
   const dot = draw("circle", svg, { r: 5, fill: ink, stroke: "var(--wash)", "stroke-width": 1.5 });
-  return point => { const [x, y] = place(point); dot.setAttribute("cx", x); dot.setAttribute("cy", y); };
+  return point => { const [cx, cy] = place(point); set(dot, { cx, cy }); };
 }
