@@ -83,9 +83,8 @@ class PointWriter:
         """Count the points of a chunk, and note its sentences and the gaits that it
         has.
         """
-        if key in self.plan.store:
-            head = self.plan.store.chunk(key)
-        else:
+        head = self.plan.store.chunk(key)
+        if head is None:
             head = ChunkCodec.summary(self._record(chunk, key).head)
 
         rows, sentences = head.rows(self.columns), head.sentences(self.columns)

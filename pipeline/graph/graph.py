@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.pipeline.graph import layers
-from gaitsweep.pipeline.graph.keys import digest, task_key
+from gaitsweep.pipeline.graph.keys import digest, digest_of, task_key
 from gaitsweep.pipeline.grid import costs
 from gaitsweep.pipeline.grid.grid import Chunk, Grid, Shape
 from gaitsweep.pipeline.grid.method import Method, scaling_axes, variables
@@ -105,10 +105,12 @@ class Graph:
         self.seconds = functools.cache(
             lambda name: costs.seconds(study, name, self.method, self.grid.alike)
         )
-        # All lines are cut at the same slopes, and their chunks packed alike.
+        # All lines are cut at the same slopes, and their chunks packed alike; many share
+        # a walker, or values of an axis.
         self._packing = functools.cache(self._packing_of)
+        self._part = functools.lru_cache(1024)(self._digest_of_part)
 
-    @property
+    @functools.cached_property
     def atlas_readers(self) -> list[str]:
         """Tasks that read atlases, besides points or the task of the study's kind,
         whose statuses report failures.
@@ -120,7 +122,7 @@ class Graph:
             if "atlas" in layer.needs and name not in own
         ]
 
-    @property
+    @functools.cached_property
     def line_tasks(self) -> list[str]:
         """Tasks over each line, besides its points; atlases of lines side by side are
         kept for those that read them.
@@ -133,7 +135,7 @@ class Graph:
         )
         return [name for name in per_line if name != "atlas" or not is_internal]
 
-    @property
+    @functools.cached_property
     def study_tasks(self) -> list[str]:
         """Tasks over the whole study."""
         return [name for name, layer in self.layers.items() if not layer.per_line]
@@ -177,19 +179,22 @@ class Graph:
         return f"{slopes} {shape.order} {self.grid.multipliers} {self.grid.keys}"
 
     def _key_of_lines(self, chunk: Chunk) -> str:
-        """Key of all lines of a chunk that are computed side by side: their walkers and
-        the values of their axes, in the order of the lines.
+        """Key of all lines of a chunk that are computed side by side: of what all lines
+        of the study share, and of their walkers and the values of their axes, in the
+        order of the lines.
         """
+        spans = {"walker": slice(0, 1), **chunk.spans}
+        names = ["walker", *(axis.name for axis in self.study.line_axes)]
+        parts = [
+            self._part(name, spans[name].start, spans[name].stop) for name in names
+        ]
+        return " ".join([self._shared_by_lines, *parts])
+
+    @functools.cached_property
+    def _shared_by_lines(self) -> str:
+        """Key of what all lines of the study share that are computed side by side."""
         study = self.study
-        walkers = chunk.spans.get("walker", slice(0, 1))
-        params = {
-            "options": layers.point_params(study, self.method),
-            "walkers": study.walkers[walkers],
-            "axes": [
-                [axis.name, axis.values[chunk.spans[axis.name]]]
-                for axis in study.line_axes
-            ],
-        }
+        params = {"options": layers.point_params(study, self.method)}
         inputs = ["atlas"]
         if self.method is Method.PLANE and study.plane:
             params["plane"] = study.plane.region
@@ -200,6 +205,13 @@ class Graph:
             tasks.append(TASKS["targets"])
         versions = [f"{task.name} {task.version}" for task in tasks]
         return task_key(self.layers["points"].task, params, versions)
+
+    def _digest_of_part(self, name: str, start: int, stop: int) -> str:
+        """Hash of some walkers, or values of an axis of the lines."""
+        if name == "walker":
+            return digest_of(self.study.walkers[start:stop])
+        (axis,) = (axis for axis in self.study.line_axes if axis.name == name)
+        return digest(name.encode() + axis.values[start:stop].tobytes())
 
     @functools.cached_property
     def study_keys(self) -> dict[str, str]:

@@ -13,8 +13,13 @@ from gaitsweep.tasks.contract.registry import Task
 def task_key(task: Task, params: Mapping[str, Any], inputs: Iterable[str] = ()) -> str:
     """Key of a task with these parameters and the keys of its inputs."""
     parts = [task.name, task.version, params, list(inputs)]
-    text = json.dumps(parts, default=_of_array, sort_keys=True)
-    return f"{task.name}-{digest(text.encode())}"
+    return f"{task.name}-{digest_of(parts)}"
+
+
+def digest_of(values: Any) -> str:
+    """Hash of nested lists, tables, numbers, texts and arrays."""
+    text = json.dumps(values, default=_of_array, sort_keys=True)
+    return digest(text.encode())
 
 
 def digest(data: bytes) -> str:

@@ -210,10 +210,9 @@ class Plan:
 
     def _why_of_chunk(self, key: str) -> str:
         """Why a chunk is computed; empty if it is not."""
-        if key not in self.store:
-            return self._why("points")
-
         head = self.store.chunk(key)
+        if head is None:
+            return self._why("points")
         if not head.holds(self.graph.variables, self.study.gaits):
             return "changed"
         if self.retry and head.has_failed(self.columns):

@@ -123,17 +123,24 @@ class Journal(Store):
             "INSERT OR REPLACE INTO numbers VALUES (?, ?)", _short(key), number
         )
 
-    def head(self, key: str) -> bytes:
-        """Head of a record, without reading its payload."""
-        number = self.number(key)
-        rows = self._execute("SELECT sum, head FROM records WHERE id = ?", number)
-        for head_sum, head in rows:
-            if isinstance(head, bytes):
-                expected, _ = file.sums(number, key, head, b"")
-                if expected == head_sum:
-                    return head
+    def head(self, key: str) -> bytes | None:
+        """Head of a record, without reading its payload; None if there is none."""
+        rows = self._execute(
+            "SELECT id, sum, head FROM numbers LEFT JOIN records USING (id)"
+            " WHERE short = ?",
+            _short(key),
+        )
+        if not rows:
+            return None
 
-        raise self.damage()
+        ((number, expected, head),) = rows
+        if not isinstance(head, bytes):
+            raise self.damage()
+        found, _ = file.sums(number, key, head, b"")
+        if found != expected:
+            raise self.damage()
+
+        return head
 
     def get(self, key: str) -> Record:
         """A record.

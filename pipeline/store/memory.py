@@ -75,9 +75,9 @@ class Memory(Store):
         self._records.move_to_end(key)
         return self._records[key][1]
 
-    def head(self, key: str) -> bytes:
-        """Head of a record."""
-        return self.get(key).head
+    def head(self, key: str) -> bytes | None:
+        """Head of a record, which counts as used; None if there is none."""
+        return self.get(key).head if key in self else None
 
     def note(self, name: str) -> str | None:
         """A note beside the records; None if there is none."""

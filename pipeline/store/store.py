@@ -49,8 +49,14 @@ class Store(ABC):
         """
 
     @abstractmethod
-    def head(self, key: str) -> bytes:
-        """Head of a record, without reading its payload; errors as of `get`."""
+    def head(self, key: str) -> bytes | None:
+        """Head of a record, without reading its payload; None if there is none.
+
+        Raises
+        ------
+        ArchiveError
+            If it is not as it was written.
+        """
 
     @abstractmethod
     def number(self, key: str) -> int:
@@ -86,10 +92,13 @@ class Store(ABC):
         except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
             raise self.damage() from error
 
-    def chunk(self, key: str) -> Head:
-        """Contents of the record of a chunk."""
+    def chunk(self, key: str) -> Head | None:
+        """Contents of the record of a chunk; None if there is none."""
+        head = self.head(key)
+        if head is None:
+            return None
         with self.reading():
-            return ChunkCodec.summary(self.head(key))
+            return ChunkCodec.summary(head)
 
     def points(self, key: str, names: Iterable[str] | None = None) -> Points:
         """Points in the record of a chunk, with all its variables or some."""
@@ -102,10 +111,11 @@ class Store(ABC):
 
     def outcome(self, key: str) -> Outcome | None:
         """How the task of that key ended; None if it has no result."""
-        if key not in self:
+        head = self.head(key)
+        if head is None:
             return None
         with self.reading():
-            outcome = Outcome(*serialize.load(self.head(key)))
+            outcome = Outcome(*serialize.load(head))
             if outcome.status not in ("ok", *ENDINGS):
                 raise ValueError(outcome.status)
             return outcome
