@@ -4,9 +4,8 @@ shows the effect of its keys.
 
 from __future__ import annotations
 
-import contextlib
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -152,17 +151,13 @@ class _Designs:
         """
         which = np.arange(self.n)
         possible = _possible(self.walkers, which)
-        if not possible:
-            return self, which
-
-        first = next(iter(possible))
-        line = self.line_of(first)
-        scales = scaling(possible[first], line)
+        first, walker = next(possible, (0, None))
+        scales = scaling(walker, self.line_of(first)) if walker else ()
         if not scales:
             return self, which
 
         keys = [key for key in self.keys if key not in scales]
-        valid = np.array([*possible])
+        valid = np.array([first, *(number for number, _ in possible)])
         values = [np.zeros(len(valid)), *(self.keys[key][valid] for key in keys)]
         distinct, places = np.unique(
             np.column_stack(values), axis=0, return_inverse=True
@@ -209,8 +204,13 @@ def _gaits_over_plane(
 ) -> np.ndarray:
     """The long gaits of designs at a slope, if one is asked for, by charts."""
     gaits = np.full((len(_GAIT), designs.n), np.nan)
-    possible = [*_possible(designs.walkers, np.arange(designs.n))]
-    if request and possible:  # invalid designs are not solved
+    if not request:
+        return gaits
+
+    # Invalid designs are not solved.
+    every = np.arange(designs.n)
+    possible = [number for number, _ in _possible(designs.walkers, every)]
+    if possible:
         lines = [designs.line_of(i) for i in possible]
         (slope,) = request.slope
         family = Family.of(lines[0], plane.keys)
@@ -267,18 +267,21 @@ def _walkers(
     return WalkerArray(**table)
 
 
-def _possible(walkers: WalkerArray, numbers: np.ndarray) -> dict[int, Walker]:
-    """Those of the walkers with some numbers that are valid, by their numbers."""
-    possible = {}
+def _possible(
+    walkers: WalkerArray, numbers: np.ndarray
+) -> Iterator[tuple[int, Walker]]:
+    """Yield those of the walkers with some numbers that are valid, and their numbers."""
     for i in numbers.tolist():
-        with contextlib.suppress(WalkerError):
-            possible[i] = walkers[i]
-    return possible
+        try:
+            walker = walkers[i]
+        except WalkerError:
+            continue
+        yield i, walker
 
 
 def _alike(walkers: WalkerArray, numbers: np.ndarray) -> dict[Structure, np.ndarray]:
     """Numbers of the walkers of each structure, without invalid ones."""
-    possible = _possible(walkers, numbers)
+    possible = dict(_possible(walkers, numbers))
     valid = np.array([*possible], int)
     by_structure = alike([*possible.values()])
     return {structure: valid[some] for structure, some in by_structure.items()}
