@@ -366,8 +366,9 @@ def flow(
 
 
 class CompiledFunction:
-    """A compiled function of lanes, and the processor time `seconds` that this process
-    has spent in all of them.
+    """A compiled function of lanes, and the time `seconds` that this process has spent in
+    all of them: not the processor time, which the kernel takes longer to tell than many
+    calls take.
     """
 
     seconds = 0.0
@@ -383,12 +384,12 @@ class CompiledFunction:
         """Values of the function, shape (outputs, n), at inputs of shape (variables,
         n).
         """
-        began = time.process_time()
+        began = time.perf_counter()
         if outputs is None:
             values: np.ndarray = self._function(inputs)
         else:
             values = self._function(inputs, outputs=outputs)
-        CompiledFunction.seconds += time.process_time() - began
+        CompiledFunction.seconds += time.perf_counter() - began
         return values
 
 
