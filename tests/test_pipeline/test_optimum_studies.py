@@ -168,6 +168,7 @@ def test_where_nothing_is_stable_the_line_says_so(tmp_path):
     assert reason.startswith("No stable gait within the ranges and limits was found")
 
 
+@pytest.mark.thorough
 def test_a_point_of_a_trade_off_without_an_optimum_says_why(tmp_path):
     tradeoff = {"froude_speed": [0.15, 7.0]}
     options = {"minimise": "cost_of_transport", "free": FREE, "tradeoff": tradeoff}
