@@ -18,8 +18,11 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def printed(name):
     """A value of the literature that data/reference has."""
-    text = (ROOT / "data/reference/published.toml").read_text(encoding="utf-8")
-    (row,) = [each for each in tomllib.loads(text)["values"] if each["id"] == name]
+    path = ROOT / "data/reference/published.toml"
+    rows = tomllib.loads(path.read_text(encoding="utf-8"))["values"]
+
+    (row,) = [each for each in rows if each["id"] == name]
+
     return row["value"]
 
 
@@ -27,20 +30,30 @@ def test_the_slope_of_a_published_stance_angle_is_the_published_one():
     """P. A. Bhounsule (2014), table 1: the short gait of the simplest walker at 0.009."""
     angle = printed("D-short-stance_angle")
 
-    found = gaitsweep.solve("D", at={"stance_angle": angle}, between=(0.006, 0.02))
+    found = gaitsweep.solve(
+        "D",
+        at={"stance_angle": angle},
+        between=(0.006, 0.02),
+    )
 
     short = found[found["gait"] == "short"].iloc[0]
     assert short["slope"] == pytest.approx(0.009, rel=1e-12)
     rate = printed("D-short-stance_rate")
     assert short["stance_rate"] == pytest.approx(rate, abs=1e-14)
-    multipliers = [printed(f"D-short-multiplier-{n}") for n in (1, 2)]
-    for value in multipliers:
-        assert np.abs(np.array(short["multipliers"]) - value).min() < 2e-12
+
+    multipliers = np.array(short["multipliers"])
+    for number in (1, 2):
+        value = printed(f"D-short-multiplier-{number}")
+        assert np.abs(multipliers - value).min() < 2e-12
 
 
 def test_power_grows_with_the_fourth_power_of_the_speed():
     """M. Garcia, A. Chatterjee and A. Ruina (2000), equation 8: of both gaits of D."""
-    slow = gaitsweep.gaits("D", at={"speed": [0.01, 0.02]}, variables=["power"])
+    slow = gaitsweep.gaits(
+        "D",
+        at={"speed": [0.01, 0.02]},
+        variables=["power"],
+    )
 
     ratio = (slow.power[1] / slow.power[0]).dropna("gait").values
 
@@ -72,11 +85,22 @@ def test_the_curve_of_flips_passes_the_published_doubling_of_the_compass_gait():
     """
     path = ROOT / "data/walkers/goswami-compass.toml"
     compass = tomllib.loads(path.read_text(encoding="utf-8"))["walker"]
-    line = {"walker": compass | {"m_h": 6.0}, "set": {}}
-    asked = {"line": line, "slope": np.array([0.02, 0.12]), "kinds": ["flip"]}
-    asked |= {"key": "m_h", "from": 6.0, "to": 10.0}
+    line = {
+        "walker": compass | {"m_h": 6.0},
+        "set": {},
+    }
 
-    found = curve(asked, [atlas({"line": line}, [])])
+    found = curve(
+        {
+            "line": line,
+            "slope": np.array([0.02, 0.12]),
+            "kinds": ["flip"],
+            "key": "m_h",
+            "from": 6.0,
+            "to": 10.0,
+        },
+        [atlas({"line": line}, [])],
+    )
 
     assert found["curves/value"][-1] == 10.0
     assert np.degrees(found["curves/slope"][-1]) == pytest.approx(4.37, abs=0.03)
