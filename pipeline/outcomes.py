@@ -9,6 +9,8 @@ import numpy as np
 
 #: Statuses that are answers, the best first; all others are failures.
 ANSWERS = ("converged", "fell", "no_gait")
+#: Reason of lines whose results are tables.
+FOLLOWED = "The line was followed; its results are in the groups."
 
 
 def count_rows(status: np.ndarray) -> dict[tuple[int, ...], int]:

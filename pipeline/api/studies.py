@@ -369,6 +369,7 @@ def _asked(
     says of the measure.
     """
     if at is None:
+        target.check_is_asked(vary, between)
         if slope is None:
             raise StudyError("`slope` is needed, or `at` with values of a measure.")
         return {"slope": slope}, {}
@@ -455,9 +456,10 @@ def solve(
             raise StudyError("`at` takes no `every` or `accuracy`.")
         asked = vary, between, fixed, changes, limits, tuned, steps
         answer = single_point.solve_at(definition, at, *asked)
-    elif fixed is None:
-        raise StudyError("`slope` is needed, or `at` with the value of a measure.")
     else:
+        target.check_is_asked(vary, between)
+        if fixed is None:
+            raise StudyError("`slope` is needed, or `at` with the value of a measure.")
         chosen = every, steps, accuracy, limits, tuned
         answer = single_point.solve(definition, fixed, changes, *chosen)
 

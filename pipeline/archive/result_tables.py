@@ -60,7 +60,8 @@ def _write_task(file: Any, plan: Plan, name: str, per_line: bool) -> None:
     parts: dict[str, list[tuple[np.ndarray, Columns]]] = {}
     for coordinates, key, numbers in _task_runs(plan, name, per_line):
         tables = split(plan.store.result(key) or {})
-        tables.pop("nothing", None)  # its reason is the line's
+        for told in ("nothing", "partly"):
+            tables.pop(told, None)  # its reason is the line's
         for group, columns in tables.items():
             whole = {**_repeat(coordinates, columns), **columns}
             parts.setdefault(group, []).append((numbers, whole))

@@ -42,6 +42,7 @@ from gaitsweep.pipeline.errors import (
     unwritten,
 )
 from gaitsweep.pipeline.graph.plan import Plan
+from gaitsweep.pipeline.outcomes import FOLLOWED
 from gaitsweep.pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
 from gaitsweep.pipeline.store.points import sentence_number
 from gaitsweep.pipeline.study import corners
@@ -353,8 +354,10 @@ class _LineWriter:
         with self.plan.store.reading():
             for reason in (result or {}).get("nothing/reason", ()):
                 return "no_gait", str(reason)
+            for reason in (result or {}).get("partly/reason", ()):
+                return "converged", f"{FOLLOWED} {reason}"
 
-        return "converged", "The line was followed; its results are in the groups."
+        return "converged", FOLLOWED
 
     def define(self, file: Any) -> None:
         """Create and write every variable."""

@@ -116,9 +116,18 @@ def column(text: str) -> tuple[str, str]:
 
 def limit(text: str) -> tuple[str, float]:
     """A violation and its limit."""
+    return _named_number(text, "VIOLATION")
+
+
+def target(text: str) -> tuple[str, float]:
+    """A measure and the value that it is to have."""
+    return _named_number(text, "MEASURE")
+
+
+def _named_number(text: str, what: str) -> tuple[str, float]:
     name, _, value = text.partition("=")
     if not name or not value:
-        raise ArgumentTypeError(f"must be VIOLATION=VALUE; got {text}")
+        raise ArgumentTypeError(f"must be {what}=VALUE; got {text}")
     return name, number(value, name)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from gaitsweep.pipeline import terminal
 from gaitsweep.pipeline.errors import StudyError
-from gaitsweep.pipeline.study import slopes
+from gaitsweep.pipeline.study import slopes, target
 from gaitsweep.pipeline.study.single_point import solve, solve_at
 from gaitsweep.tasks.contract.registry import SLOPES, VARIABLES
 
@@ -39,9 +39,10 @@ def run(options: argparse.Namespace) -> int:
         between = _between(options)
         asked = options.vary, between, slope, options.set, options.limit, options.tuned
         answer = solve_at(options.walker, options.at, *asked, options.steps)
-    elif slope is None:
-        raise StudyError("`slope` is needed, or `at` with the value of a measure.")
     else:
+        target.check_is_asked(options.vary, options.between)
+        if slope is None:
+            raise StudyError("`slope` is needed, or `at` with the value of a measure.")
         accuracy, limits = options.accuracy, options.limit
         chosen = options.all, options.steps, accuracy, limits, options.tuned
         answer = solve(options.walker, slope, options.set, *chosen)

@@ -4,14 +4,14 @@ rounds.
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from gaitsweep.pipeline.outcomes import ANSWERS, count, count_rows
+from gaitsweep.pipeline.outcomes import ANSWERS, FOLLOWED, count, count_rows
 from gaitsweep.pipeline.report.cells import Cell, cell, column_cells
 from gaitsweep.pipeline.report.figures import landmarks as places
 from gaitsweep.pipeline.report.figures import measured, tolerances
@@ -402,23 +402,37 @@ def outcome_sentence(source: Source) -> str:
     return f"Solver: {', '.join([*parts, *(f'{grouped(count)} {spaced(name)}' for name, count in counts.items())])}"
 
 
+def _of_converged(source: Source) -> Iterator[tuple[str, int]]:
+    """What converged points or lines lack, in a sentence, and how many they are."""
+    status = np.atleast_1d(source.outcomes["status"].values)
+    solved = status == 0
+    if source.whole == "point" or "reason" not in source.outcomes:
+        yield "", int(solved.sum())
+        return
+
+    reasons = np.atleast_1d(source.outcomes["reason"].values)
+    numbers, counts = np.unique(reasons[solved], return_counts=True)
+    for number, n in zip(numbers.tolist(), counts.tolist(), strict=True):
+        yield source.reasons[number].removeprefix(FOLLOWED).strip(), n
+
+
 def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
     """Outcomes by status and reason: how many gaits or lines, and over which slopes."""
     if "status" not in source.outcomes:
         return None
 
-    status = source.outcomes["status"]
-    solved, slopes = status.size - len(absent), np.array([])
+    status, slopes = source.outcomes["status"], np.array([])
     if "slope" in status.indexes:
         slopes = status["slope"].values[
             (status == 0).any([d for d in status.dims if d != "slope"]).values
         ]
 
-    rows = (
-        [[Cell("converged"), Cell(""), cell(solved, True), *_range(slopes)]]
-        if solved
-        else []
-    )
+    of_converged = itertools.islice(_of_converged(source), _MAX_REASONS)
+    rows = [
+        [Cell("converged"), Cell(said), cell(n, True), *_range(slopes)]
+        for said, n in of_converged
+        if n
+    ]
     groups = absent.groupby(["status", "reason"], sort=False, observed=True)
     for (status, reason), group in itertools.islice(groups, _MAX_REASONS):
         over = _range(group["slope"].to_numpy() if "slope" in group else np.array([]))

@@ -37,7 +37,7 @@ def check_walkers(
         except ValueError as error:
             place = way
             if getattr(error, "key", "") != "toward":
-                place = _fault(candidate, keys, error, top)
+                place = _fault(study, candidate, keys, error, top)
             raise place.error(str(error)) from error
 
         if study.kind == "curve":
@@ -130,14 +130,21 @@ def _keys_of_curves(study: Study) -> tuple[str, ...]:
 
 
 def _fault(
-    walker: Definition, values: dict[str, float], error: ValueError, top: Location
+    study: Study,
+    walker: Definition,
+    values: dict[str, float],
+    error: ValueError,
+    top: Location,
 ) -> Location:
     """Place of what is wrong with a walker at values of the axes: the walker, the one
-    axis at fault, or the axes.
+    axis at fault, the axes, or what is varied.
     """
     key = getattr(error, "key", "walker")
+    sought = top.at("at")
     if key in ("at", "between", "vary"):
-        return top.at("at")
+        return sought
+    if key == study.at.get("vary") and _can_be(walker, values):
+        return sought.at("between") if "between" in study.at else sought
     if key in values:
         return top.at("axes", key)
     # A key that an axis owns is wrong where it is set, though the walker is valid
@@ -194,6 +201,12 @@ def _check_curve(
 ) -> None:
     """Check a walker at both ends of the range over which curves are continued."""
     options = registry.options("curve", study.options)
+    asked = {"walker": walker, "set": values, "options": dict(study.options)}
+    try:
+        dispatch.call("check_curve", asked)
+    except ValueError as error:
+        raise location.at("levels").error(str(error)) from error
+
     if options["plane"]:
         _check_plane(options["plane"], walker, values, location.at("plane"))
         return

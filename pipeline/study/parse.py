@@ -168,6 +168,10 @@ def _grid(table: Mapping[str, Any], kind: str, path: Path, top: Location) -> _Gr
     without, toward = axes_of_studies.without_toward(table.get("axes"), path, toward_at)
     if toward is None:
         toward_at = top.at("walker", "toward")
+    if "at" in table and kind != "grid":
+        raise top.at("at").error(
+            f"`at` is of the gaits of a grid; this study is a `{kind}`"
+        )
     at, values = target.read(table, without, top)
     axes, tolerances = axes_of_studies.read(values, top.at("axes"), at)
 

@@ -372,11 +372,6 @@ def _targets_are_of_gaits_of_a_grid(
             )
         return
 
-    if study.kind != "grid":
-        yield top.at("at").error(
-            f"`at` is of the gaits of a grid; this study is a `{study.kind}`"
-        )
-
     try:
         target.check_steps(study.steps, study.at, top.at("options", "steps"))
     except StudyError as error:

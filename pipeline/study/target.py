@@ -92,6 +92,20 @@ def check_steps(steps: int, asked: Mapping[str, Any], place: Location) -> None:
         raise place.wrong("must be 1 where `between` has slopes of 0 or below", steps)
 
 
+def check_is_asked(vary: str, between: Any) -> None:
+    """Check that nothing is varied where no measure is asked for.
+
+    Raises
+    ------
+    StudyError
+        If something is.
+    """
+    for name, value, default in (("vary", vary, "slope"), ("between", between, None)):
+        if value != default:
+            place = Location("", name)
+            raise place.wrong("needs `at`, a measure with its value", value)
+
+
 def varied(vary: str, between: Any) -> dict[str, Any]:
     """What is varied, and its range unless it is None, as arguments give them, checked."""
     given: dict[str, Any] = {"vary": vary}

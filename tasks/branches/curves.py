@@ -53,6 +53,8 @@ _SAME_TIMES = 1e-3
 _AT_END = 1e-6
 #: Distance of the last unknown from a value that is rounding.
 _AT_VALUE = 1e-9
+#: Distance of a point from a border that is rounding.
+_AT_BORDER = 1e-10
 #: Share of the way to a border at which a curve begins on it; and that of a segment to
 #: which a turning is located.
 _BEGINS_THERE, _TURNING = 1e-9, 1e-11
@@ -153,7 +155,9 @@ class _Followed(engine.Tracks):
         within = self._nearest_within(Z) == Z[-len(self.edges) :]
         return np.asarray(within.all(axis=0))
 
-    def _finds_border(self, track: int, beyond: engine.Point) -> bool:
+    def _finds_border(
+        self, track: int, beyond: engine.Point, is_second: bool = False
+    ) -> bool:
         """Find a track's point on the border, between its last point and one beyond the
         window, as its end; and whether there is one.
         """
@@ -168,9 +172,17 @@ class _Followed(engine.Tracks):
         guess[component] = value
         border = np.eye(len(guess))[:, [component]]
         found = correct_on_curve(self.equations, guess, border)
-        if found.ok[0]:
-            self.ends[track] = found.Z, found.oriented(tangent).direction
-        return bool(found.ok[0])
+        if not found.ok[0]:
+            return False
+
+        nearest = self._nearest_within(found.Z)
+        beside = np.abs(found.Z[-len(nearest) :] - nearest).max()
+        if beside > _AT_BORDER:  # another edge comes first
+            return not is_second and self._finds_border(track, found, True)
+        # Beside the border there may be no walker.
+        found.Z[-len(nearest) :] = nearest
+        self.ends[track] = found.Z, found.oriented(tangent).direction
+        return True
 
     def _crossing(
         self, last: Coordinates, beyond: Coordinates

@@ -73,7 +73,7 @@ TASKS = {
             32,
             needs=("atlas",),
         ),
-        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 3),
+        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 4),
         Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 12),
         Task(
             "trace", "gaitsweep.tasks.studies.trace_motion:trace", 7, needs=("atlas",)
@@ -98,10 +98,10 @@ TASKS = {
         ),
         Task("basin", "gaitsweep.tasks.studies.map_basin:basin", 13, needs=("atlas",)),
         Task(
-            "curve", "gaitsweep.tasks.studies.follow_curves:curve", 30, needs=("atlas",)
+            "curve", "gaitsweep.tasks.studies.follow_curves:curve", 31, needs=("atlas",)
         ),
         Task("design", "gaitsweep.tasks.studies.map_designs:design", 27),
-        Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 2),
+        Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 3),
         Task("census", "gaitsweep.tasks.studies.count_gaits:census", 18),
         Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 2),
         Task(
@@ -246,6 +246,7 @@ CALLS = {
     "untuned": "gaitsweep.tasks.walkers.tuning:untuned",
     "why_no_key": "gaitsweep.tasks.walkers.resolve:why_no_key",
     "check_walker": "gaitsweep.tasks.walkers.properties:check",
+    "check_curve": "gaitsweep.tasks.studies.check_curve:check",
     "check_optimum": "gaitsweep.tasks.studies.check_optimum:check",
     "scaled": "gaitsweep.tasks.walkers.scaling:scaled",
     "search_words": "gaitsweep.tasks.studies.solve_points:search_words",

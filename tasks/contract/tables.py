@@ -55,6 +55,26 @@ def nothing(why: str) -> Arrays:
     return {"nothing/reason": np.array([why])}
 
 
+def lacking(sentences: Sequence[str], has_others: bool) -> Arrays:
+    """The table by which a task says what it did not find on a line; none where that is
+    nothing.
+
+    Parameters
+    ----------
+    sentences : sequence of str
+    has_others : bool
+        Whether the line has other results, `partly` what is asked for.
+
+    Returns
+    -------
+    dict of ndarray, shape (1,)
+    """
+    if not sentences:
+        return {}
+    why = " ".join(sentences)
+    return {"partly/reason": np.array([why])} if has_others else nothing(why)
+
+
 def stacked(
     group: str, parts: Sequence[Sequence[Any]], columns: Sequence[str]
 ) -> Arrays:

@@ -27,7 +27,7 @@ def check_measure(
     WalkerError
         If it is not, naming the option that asks for it.
     """
-    known = measures(walker)
-    if name not in (*known, *others):
+    known = (*measures(walker), *others)
+    if name not in known:
         bound = f"must be a measure of its gaits: {', '.join(known)}"
         raise WalkerError(option, name, bound)

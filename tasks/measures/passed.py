@@ -35,6 +35,9 @@ _REFINED = 2
 #: What a gait that is located may lack of a value, over what the samples that bracket it
 #: do: it has no value where the scalar jumps.
 _LEFT = 1e-3
+#: What a value of a measure, over its size, or the last unknown differs by from an end of
+#: its range that is rounding.
+_ROUNDING = 1e-10
 #: How far a gait may lie from the samples that bracket it, over their distance.
 _NEAR = 1.5
 
@@ -352,7 +355,15 @@ class Sampled:
         """Numbers of the values that lie between a sample and the next, and those
         samples.
         """
-        side = np.sign(self.values - wanted[:, None])
+        off = self.values - wanted[:, None]
+        side = np.sign(off)
+
+        # An end of the curve has a value that it misses by rounding.
+        ends = [0, -1]
+        within = _ROUNDING * self.size
+        is_there = np.abs(off[:, ends]) <= within
+        side[:, ends] = np.where(is_there, 0.0, side[:, ends])
+
         is_finite = np.isfinite(self.values)
         # A sample that has a value ends two brackets, of which one may lead to it.
         is_passed = side[:, 1:] * side[:, :-1] <= 0
@@ -428,9 +439,16 @@ class Passed:
     X: Coordinates
 
     def within(self, low: float, high: float) -> Passed:
-        """Return those whose last unknown lies in a range."""
+        """Return those whose last unknown lies in a range, those beyond it by rounding
+        moved to its end.
+        """
         varied = self.X[-1]
-        return self.some((varied >= low) & (varied <= high))
+        nearest = np.clip(varied, low, high)
+        is_inside = np.abs(varied - nearest) <= _ROUNDING
+
+        X = np.vstack([self.X[:-1], nearest])
+        moved = replace(self, X=X)
+        return moved.some(is_inside)
 
     def some(self, some: np.ndarray) -> Passed:
         """Return some of them, by a mask."""

@@ -62,6 +62,12 @@ class Constraint:
     scale: float = 1.0
 
     @property
+    def bound(self) -> str:
+        """Its limit in words."""
+        words = {1: "at least", -1: "at most", 0: "equal to"}
+        return f"{words[self.side]} {self.limit:.6g}"
+
+    @property
     def condition(self) -> Condition:
         """How far the scalar is from its limit, over its size; not negative where an
         inequality is met.
@@ -375,13 +381,29 @@ class Programme:
         rows = self.linear(X).rows
         return np.where(self._is_equality, np.abs(rows), np.maximum(-rows, 0.0))
 
-    def worst(self, X: Gait) -> str:
-        """Return the name of the constraint that a point (u,) misses most; empty where
-        it is no gait.
+    def worst(self, X: Gait) -> Constraint | None:
+        """Return the constraint that a point (u,) misses most; None where it is no
+        gait.
         """
         of_constraints = self._missed(X)[-len(self.constraints) :]
         worst = int(of_constraints.argmax())
-        return self.constraints[worst].name if of_constraints[worst] > MET else ""
+        return self.constraints[worst] if of_constraints[worst] > MET else None
+
+    def reached(
+        self, constraint: Constraint, gaits: Sequence[Coordinates]
+    ) -> list[tuple[float, float]]:
+        """Return the least and the largest value of a constraint's scalar at gaits X
+        (u, n) of several walkers; none where it has no value.
+        """
+        found = []
+        for X in gaits:
+            for first in range(0, X.shape[1], _BLOCK):
+                at = self.equations.evaluate(X[:, first : first + _BLOCK])
+                found.append(np.asarray(constraint.scalar(at), float))
+
+        values = np.concatenate(found)
+        known = values[np.isfinite(values)]
+        return [(float(known.min()), float(known.max()))] if len(known) else []
 
     def _judged(self, X: Gait, path: ndarray, message: str) -> Optimum:
         """What is known of the point at which iterations ended."""

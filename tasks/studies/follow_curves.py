@@ -5,7 +5,7 @@ walker.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -28,26 +28,25 @@ from gaitsweep.tasks.branches.equations import (
 from gaitsweep.tasks.branches.meetings import Followed, followed, met
 from gaitsweep.tasks.branches.special_points import RATES, special_points
 from gaitsweep.tasks.contract import registry
-from gaitsweep.tasks.contract.tables import Arrays, nothing, table
+from gaitsweep.tasks.contract.status import ranges
+from gaitsweep.tasks.contract.tables import Arrays, lacking, table
 from gaitsweep.tasks.measures.levels import LEVEL, level
 from gaitsweep.tasks.measures.names import check_measure
 from gaitsweep.tasks.measures.onsets import ONSET, onsets
 from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
+from gaitsweep.tasks.studies.check_curve import without_meaning
 from gaitsweep.tasks.studies.curve_rows import FORM, rows, start_and_period
 from gaitsweep.tasks.studies.follow_over_keys import curves_over_keys
 from gaitsweep.tasks.walkers.resolve import value_of_key, walker_of_line, walkers_over
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
-#: Why a line has no curve.
-_NO_START = (
-    "No point to start a curve from was found, neither at the value of the walker nor "
-    "at the ends of the range."
-)
 #: Share of the way to an ordinary value of the key at which a curve begins that cannot
 #: at a special one.
 _BESIDE = 1e-3
+#: Distance of a ln slope from an end of the window that is rounding.
+_ROUNDING = 1e-10
 #: Columns of the tables.
 _PLACE = (
     "slope",
@@ -100,9 +99,11 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     line, options = params["line"], registry.options("curve", params)
     slope = np.asarray(params["slope"], float)
-    conditions = _conditions(options, walker_of_line(line))
+    walker = walker_of_line(line)
+    conditions = _conditions(options, walker)
+    absent = [*without_meaning(options["onsets"], walker)]
     if options["plane"]:
-        return curves_over_keys(line, slope, options["plane"], conditions)
+        return curves_over_keys(line, slope, options["plane"], conditions, absent)
 
     key = str(options["key"])
     keys = _keys(line, key, float(options["from"]), float(options["to"]))
@@ -111,7 +112,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     found = table("curves", tables.curves, _CURVES)
     found |= table("turnings", tables.turnings, _TURNINGS)
     found |= table("meetings", tables.meetings, _MEETINGS)
-    return found if tables.curves else found | nothing(_NO_START)
+    return found | lacking([*absent, *tables.absent], bool(tables.curves))
 
 
 def _from_beginnings(
@@ -123,23 +124,49 @@ def _from_beginnings(
     """Follow the curves of each condition from the first beginning that has points of
     it; `atlas` is that of the line, at its own value of the key.
     """
-    tables = _Tables([], [], [])
+    tables = _Tables([], [], [], [])
     missing = dict(conditions)
+    known: dict[str, list[tuple[float, float]]] = {name: [] for name in conditions}
+    beginnings = []
     for begin in _beginnings(value, window.keys):
+        beginnings.append(begin)
         problem = Problem(window.keys.walker_at(begin))
         if begin == value:
             branches = atlases.from_arrays(atlas)
         else:
             branches = atlases.survey(problem)
 
-        seeds = _seeds(problem, branches, missing, window)
+        seeds = list(_seeds(problem, branches, missing, window, known))
 
         begun = _follow_all(seeds, conditions, begin, window, tables)
         missing = {kind: missing[kind] for kind in missing if kind not in begun}
         if not missing:
             break
 
+    where = window.words(beginnings)
+    for name, condition in missing.items():
+        tables.absent.append(_why_none(name, condition, known[name], where))
+
     return tables
+
+
+def _why_none(
+    name: str, condition: Condition, known: Sequence[tuple[float, float]], where: str
+) -> str:
+    """Say that there is no curve of a condition, and what there is: slopes of such
+    points elsewhere, or values of the measure.
+    """
+    sentence = f"No point of `{name}` to start a curve from was found {where}"
+    if not known:
+        return f"{sentence}."
+    if condition.name == LEVEL:
+        return f"{sentence}: values of the measure are {ranges(known)}."
+    if condition.name == ONSET:
+        limit = float(condition.target)
+        is_passed = any(low <= limit <= high for low, high in known)
+        side = "" if is_passed else ": all gaits are on one side of the limit"
+        return f"{sentence}{side}."
+    return f"{sentence}: such points are at slopes {ranges(known)}."
 
 
 def _keys(line: Mapping[str, Any], key: str, low: float, high: float) -> Keys:
@@ -163,10 +190,17 @@ class _Window:
         ends = np.hstack([self.keys.low, self.keys.high])
         return np.array([log_slopes, ends / self.keys.scale])
 
+    def words(self, values: Sequence[float]) -> str:
+        """The slopes, and values of the key at which curves were to begin."""
+        low, high = self.slopes
+        key = self.keys.names[0]
+        shown = ", ".join(f"{value:.6g}" for value in values)
+        return f"at `{key}` = {shown} and slopes from {low:.6g} to {high:.6g}"
+
     def holds(self, log_slope: float) -> bool:
-        """Whether a ln slope lies in the window."""
+        """Whether a ln slope lies in the window, or beyond it by rounding."""
         low, high = np.log(self.slopes)
-        return bool(low <= log_slope <= high)
+        return bool(low - _ROUNDING <= log_slope <= high + _ROUNDING)
 
     def inside(self, X: ndarray) -> ndarray:
         """A point (u,) whose ln slope is moved to the window's edge if it lies beyond
@@ -178,11 +212,12 @@ class _Window:
 
 
 class _Tables(NamedTuple):
-    """Rows of the tables."""
+    """Rows of the tables, and sentences on conditions of which there is no curve."""
 
     curves: list[tuple[Any, ...]]
     turnings: list[tuple[Any, ...]]
     meetings: list[tuple[Any, ...]]
+    absent: list[str]
 
 
 def _conditions(options: Mapping[str, Any], walker: Walker) -> dict[str, Condition]:
@@ -314,24 +349,32 @@ def _seeds(
     branches: list[Branch],
     conditions: Mapping[str, Condition],
     window: _Window,
-) -> list[tuple[str, ndarray]]:
+    known: Mapping[str, list[tuple[float, float]]],
+) -> Iterator[tuple[str, ndarray]]:
     """Points of a line's branches at which curves begin: what tables call them, and Z
-    (c,).
+    (c,). What there is of each condition, slopes of points or values of a measure in the
+    window, is added to what is `known`.
     """
-    seeds = []
+    measured = {
+        name: condition
+        for name, condition in conditions.items()
+        if condition.name in (LEVEL, ONSET)
+    }
     for branch in branches:
         for point in special_points(problem, branch):
-            kind = str(point["kind"])
-            if kind in conditions:
-                seeds.append((kind, np.array(point["Z"])))
+            kind, Z = str(point["kind"]), np.array(point["Z"])
+            if kind not in conditions:
+                continue
+            slope = float(np.exp(Z[-1]))
+            known[kind].append((slope, slope))
+            if window.holds(Z[-1]):
+                yield kind, Z
 
-        levels = {
-            name: condition
-            for name, condition in conditions.items()
-            if condition.name in (LEVEL, ONSET)
-        }
-        samples = Sampled.of_each(Curve.of_branch(problem, branch), [*levels.values()])
-        for name, sampled in zip(levels, samples, strict=True):
-            seeds += [(name, Z) for Z in sampled.passes_target().X.T]
-
-    return [(kind, Z) for kind, Z in seeds if window.holds(Z[-1])]
+        samples = Sampled.of_each(
+            Curve.of_branch(problem, branch), [*measured.values()]
+        )
+        for name, sampled in zip(measured, samples, strict=True):
+            known[name].extend(filter(None, [sampled.reached(*window.edges[0])]))
+            for Z in sampled.passes_target().X.T:
+                if window.holds(Z[-1]):
+                    yield name, Z

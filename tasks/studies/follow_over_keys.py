@@ -24,7 +24,9 @@ from gaitsweep.tasks.branches.equations import (
 )
 from gaitsweep.tasks.branches.meetings import Followed, followed, met
 from gaitsweep.tasks.branches.special_points import RATES
-from gaitsweep.tasks.contract.tables import Arrays, nothing, table
+from gaitsweep.tasks.contract.status import ranges
+from gaitsweep.tasks.contract.tables import Arrays, lacking, table
+from gaitsweep.tasks.measures.levels import LEVEL
 from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
 from gaitsweep.tasks.studies.curve_rows import FORM, rows, start_and_period
@@ -37,11 +39,6 @@ from gaitsweep.tasks.studies.gaits_over_key import (
 from gaitsweep.tasks.walkers.resolve import walkers_over
 from gaitsweep.tasks.walkers.walker import Walker
 
-#: Why a line has no curve.
-_NO_START = (
-    "No point to start a curve from was found along gaits over either key, at five "
-    "values of the other."
-)
 _KEYS = ("key", "value", "other_key", "other_value")
 _PLACE = ("slope", *_KEYS, "stance_angle", *RATES, "period")
 _CURVES = ("curve", "kind", *_PLACE, "error_bound", *FORM, "walks", "stopped")
@@ -122,6 +119,7 @@ def curves_over_keys(
     slopes: np.ndarray,
     ranges: Mapping[str, Sequence[float]],
     conditions: Mapping[str, Condition],
+    lacks: Sequence[str] = (),
 ) -> Arrays:
     """Follow curves over two keys at fixed slopes.
 
@@ -133,6 +131,8 @@ def curves_over_keys(
         Least and largest value of both keys [the walker's units].
     conditions : mapping
         What curves fulfil, by what the table calls them.
+    lacks : sequence of str
+        What is asked for and has no condition, in sentences.
 
     Returns
     -------
@@ -148,20 +148,47 @@ def curves_over_keys(
     low, high = zip(*ranges.values(), strict=True)
     found: list[tuple[Any, ...]] = []
     met_there: list[tuple[Any, ...]] = []
+    absent = [*lacks]
     for slope in slopes.tolist():
         plane = _Plane(line, tuple(ranges), low, high, slope)
         along = list(plane.curves())
         others = met(conditions, plane.keys.structure.kneed)
         for kind, condition in conditions.items():
             equations = Equations(plane.keys, [condition], plane.slope)
-            for curve in _curves(plane, kind, equations, along, others):
+            curves = list(_curves(plane, kind, equations, along, others))
+            for curve in curves:
                 number = len({row[0] for row in found})
                 found += _curve_rows(number, plane, curve)
                 met_there += _meeting_rows(number, plane, curve)
+            if not curves:
+                absent.append(_why_none(plane, kind, condition, along))
 
     tables = table("curves", found, _CURVES)
     tables |= table("meetings", met_there, _MEETINGS)
-    return tables if found else tables | nothing(_NO_START)
+    return tables | lacking(absent, bool(found))
+
+
+def _why_none(
+    plane: _Plane,
+    kind: str,
+    condition: Condition,
+    along: Sequence[tuple[int, float, Curve]],
+) -> str:
+    """Say that there is no curve of a condition in a plane, and which values of the
+    measure there are.
+    """
+    keys = " or ".join(f"`{name}`" for name in plane.names)
+    sentence = (
+        f"No point of `{kind}` to start a curve from was found at slope "
+        f"{plane.slope:.6g} along gaits over {keys}, at five values of the other"
+    )
+    if condition.name != LEVEL:
+        return f"{sentence}."
+
+    samples = [Sampled.of(curve, condition) for _, _, curve in along]
+    reached = [sampled.reached(-np.inf, np.inf) for sampled in samples]
+    values = ranges([each for each in reached if each]) or "none"
+    return f"{sentence}: values of the measure are {values}."
 
 
 def _curves(

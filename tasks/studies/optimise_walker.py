@@ -16,7 +16,8 @@ from gaitsweep.tasks.branches.curves import walks
 from gaitsweep.tasks.branches.equations import Equations, Keys, slope_error, solve
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.kinds import kind_of
-from gaitsweep.tasks.contract.tables import Arrays, nothing, table
+from gaitsweep.tasks.contract.status import over, ranges
+from gaitsweep.tasks.contract.tables import Arrays, lacking, nothing, table
 from gaitsweep.tasks.gaits.polish import settle, unmeasured
 from gaitsweep.tasks.measures.levels import measures_at
 from gaitsweep.tasks.measures.programme import SPECIAL, Optimum, Programme
@@ -73,16 +74,19 @@ def optimum(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     question = Question(Box(params["line"], free), slopes, options, params["gaits"])
     begins = candidates(question)
     if not begins:
-        return nothing(f"{question.nothing_found}: none of the starts has a gait.")
+        why = over("gait of the walkers of the starts", slopes)
+        return nothing(f"{question.nothing_found}. {why}")
 
     tables = _Tables(question)
+    missing = []
     for case, values in enumerate(question.cases):
         search = _Search(question, question.programme(values), case)
         search.run(begins)
         tables.add(search)
+        if search.best is None:
+            missing.append(search.nothing_found(begins))
 
-    found = tables.arrays()
-    return found if tables.optimum else found | nothing(search.nothing_found)
+    return tables.arrays() | lacking(missing, bool(tables.optimum))
 
 
 @dataclass(frozen=True)
@@ -257,12 +261,11 @@ class _Search:
     def run(self, candidates: Sequence[Coordinates]) -> None:
         """Begin at the most promising of each start's gaits X (u, n)."""
         guesses = self._promising(candidates)
+        _check_keys(self.programme, guesses)
         for guess in guesses:
             end = self.programme.improve(guess)
             self.ends.append(end)
             self.verified.append(self._verify(end))
-
-        _check_keys(self.programme, guesses)
 
         gaits = [
             start
@@ -297,7 +300,7 @@ class _Search:
         if end.is_met:
             return _Verification(self.question, self.programme, end).verified()
         missed = self.programme.worst(end.X)
-        return f"`{missed}` is not met" if missed else "no gait is reached"
+        return f"`{missed.name}` is not met" if missed else "no gait is reached"
 
     def _is_finished(self, start: int) -> bool:
         return self.ends[start].stationarity < _STATIONARY
@@ -326,14 +329,31 @@ class _Search:
         """How many starts led to the best gait."""
         return sum(map(self._is_best, range(len(self.ends))))
 
-    @property
-    def nothing_found(self) -> str:
-        """Why there is no optimum, by the start that came nearest."""
+    def nothing_found(self, candidates: Sequence[Coordinates]) -> str:
+        """Return why there is no optimum, by the start that came nearest, and what the
+        gaits have at which iterations could begin.
+        """
+        case = "".join(
+            f" with `{name}` = {value:g}"
+            for name, value in self.question.cases[self.case].items()
+        )
         nearest = min(range(len(self.ends)), key=lambda k: self.ends[k].missed)
-        return (
-            f"{self.question.nothing_found}: where iterations from "
+        sentence = (
+            f"{self.question.nothing_found}{case}: where iterations from "
             f"{len(self.ends)} starts came nearest, {self.outcome(nearest)}."
         )
+
+        missed = None
+        if not self.ends[nearest].is_met:
+            missed = self.programme.worst(self.ends[nearest].X)
+        asked = self.question.asked_by(missed) if missed else None
+        if asked is None:
+            return sentence
+
+        reached = self.programme.reached(asked, candidates)
+        known = f"{ranges(reached)} at the walkers of the starts"
+        unit = self.question.unit_of(asked.name)
+        return f"{sentence} `{asked.name}` must be {asked.bound}{unit}: it is {known}."
 
 
 def _check_keys(programme: Programme, guesses: Sequence[Gait]) -> None:
@@ -353,10 +373,11 @@ def _check_keys(programme: Programme, guesses: Sequence[Gait]) -> None:
         columns = np.vstack([at.gradient, at.derivative])[:, -count:]
         changes = np.maximum(changes, np.abs(columns).max(axis=0))
 
-    for key, change in zip(keys.names, changes, strict=True):
+    ranges = zip(keys.names, keys.low, keys.high, changes, strict=True)
+    for key, low, high, change in ranges:
         if change < _NO_CHANGE:
-            why = "must be keys that change gaits or what is asked of them"
-            raise WalkerError("free", key, why)
+            why = "is free and changes neither gaits nor what is asked of them"
+            raise WalkerError(key, [low, high], why)
 
 
 class _Tables:

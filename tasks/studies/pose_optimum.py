@@ -5,7 +5,7 @@ which its iterations may begin.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.equations import Equations, Keys
 from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.contract.registry import VARIABLES, VIOLATIONS
-from gaitsweep.tasks.measures.levels import Measures
+from gaitsweep.tasks.measures.levels import Measures, level
 from gaitsweep.tasks.measures.names import measures
 from gaitsweep.tasks.measures.onsets import limited_amounts, over_size
 from gaitsweep.tasks.measures.programme import (
@@ -38,10 +38,11 @@ from gaitsweep.tasks.walkers.walker_array import WalkerArray
 SLOPE = "slope"
 #: Share of its range at which a key has no special value.
 _ORDINARY = 0.4871
+_RADIUS = "spectral_radius"
 #: What is told of every optimum beside its objective and what limits it.
 _TOLD = (
     *("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period"),
-    *("speed", "froude_speed", "cost_of_transport", "spectral_radius"),
+    *("speed", "froude_speed", "cost_of_transport", _RADIUS),
 )
 
 
@@ -165,6 +166,24 @@ class Question:
         ruled_out = VIOLATIONS if "all" in names else names
         return [amount for name in ruled_out for amount in VIOLATIONS[name].amounts]
 
+    def asked_by(self, constraint: Constraint) -> Constraint | None:
+        """Return what a constraint of a programme asks of a measure; None where it is an
+        end of walking.
+        """
+        if constraint in STABLE:
+            return Constraint(_RADIUS, level(_RADIUS, 1.0).value, 1.0, -1)
+        if constraint.name == "label":
+            return replace(constraint, name="heelstrike_rate_ratio")
+        return constraint if constraint.name in VARIABLES else None
+
+    def unit_of(self, name: str) -> str:
+        """Return in what a constraint's values are counted, in words; empty for those in
+        the walker's units.
+        """
+        has_units = VARIABLES[name].unit(2.0, 3.0, 5.0) != 1
+        of_size = " in units of leg, mass and g"
+        return of_size if name in self._amounts and has_units else ""
+
     def programme(self, case: Mapping[str, float]) -> Programme:
         """The nonlinear programme, with values that measures have."""
         keys = self.box.keys
@@ -178,8 +197,7 @@ class Question:
         equations = Equations(keys, [], self.fixed)
         # The largest magnitude has a kink where two multipliers share it.
         is_smooth = all(
-            VARIABLES[name].is_smooth and name != "spectral_radius"
-            for name in taken.names
+            VARIABLES[name].is_smooth and name != _RADIUS for name in taken.names
         )
         return Programme(equations, objective, constraints, self.window, is_smooth)
 

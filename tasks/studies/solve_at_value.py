@@ -283,7 +283,7 @@ def _target(
         raise WalkerError("between", (low, high), "must rise")
     if vary != SLOPE:
         for end in (low, high):
-            walkers_over(line, vary)(end)
+            _check_end(line, vary, end)
     elif low <= 0 and "drive" not in walker.features:
         bound = "must be slopes above 0, as nothing but gravity drives the walker"
         raise WalkerError("between", (low, high), bound)
@@ -296,6 +296,23 @@ def _target(
         high=high,
         steps=int(asked.get("steps", 1)),
     )
+
+
+def _check_end(line: Mapping[str, Any], vary: str, end: float) -> None:
+    """Check that there is a walker at an end of the range of a key.
+
+    Raises
+    ------
+    WalkerError
+        Of the key, or of the range where another key is at fault with it.
+    """
+    try:
+        walkers_over(line, vary)(end)
+    except WalkerError as error:
+        if error.key == vary or error.bound.startswith("is set by"):
+            raise
+        bound = f"leaves no walker at `{vary}` = {end:.6g}: `{error.key}` {error.bound}"
+        raise WalkerError("between", error.value, bound) from error
 
 
 def _range(line: Mapping[str, Any], vary: str) -> tuple[float, float]:

@@ -188,7 +188,7 @@ def test_a_curve_that_could_not_begin_says_so(archives):
     ):
         assert len(found["curves/slope"]) and "followed" in str(found["reason_text"][0])
         assert not len(none["curves/slope"]) and str(none["reason_text"][0]).startswith(
-            "No point to start"
+            "No point of `"
         )
         assert (found["status"][...].item(), none["status"][...].item()) == (
             STATUSES["converged"],

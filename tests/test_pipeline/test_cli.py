@@ -269,6 +269,14 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
             "Argument --limit: `scuff` must be a number; got x (gaitsweep solve --help).",
         ),
         (
+            ["solve", "--walker", "D", "--at", "speed"],
+            "Argument --at: must be MEASURE=VALUE; got speed (gaitsweep solve --help).",
+        ),
+        (
+            ["solve", "--walker", "D", "--slope", "0.01", "--vary", "R"],
+            "`vary` needs `at`, a measure with its value; got 'R'.",
+        ),
+        (
             ["solve", "--walker", "D", "--slope", "0.01", "--steps", "0"],
             "Argument --steps: must be a whole number from 1 to 64; got 0 (gaitsweep solve --help).",
         ),

@@ -106,6 +106,10 @@ def study(options, walker="A", axes=None, **more):
             "`stable` must be true or false; got 1 (options.stable).",
         ),
         (
+            study({"minimise": "R", "free": {"m_h": [0.0, 1.0]}}),
+            "`minimise` must be a measure of its gaits: ",
+        ),
+        (
             study(FASTEST, gaits=["other1"]),
             "The gaits of an optimum are `long` or `short` (gaits).",
         ),
@@ -162,6 +166,38 @@ def test_where_nothing_is_stable_the_line_says_so(tmp_path):
     assert found["status"].item() == "no_gait"
     reason = str(found["reason"].item())
     assert reason.startswith("No stable gait within the ranges and limits was found")
+
+
+@pytest.mark.thorough
+def test_a_point_of_a_trade_off_without_an_optimum_says_why(tmp_path):
+    tradeoff = {"froude_speed": [0.15, 7.0]}
+    options = {"minimise": "cost_of_transport", "free": FREE, "tradeoff": tradeoff}
+    asked = study({**options, "starts": 1}, axes={"slope": [0.01, 0.02]})
+    archive = tmp_path / "some.nc"
+
+    found = gaitsweep.run(asked, archive=archive, jobs=1, quiet=True)
+    page = gaitsweep.report(archive, tmp_path).read_text(encoding="utf-8")
+
+    assert found["status"].item() == "converged"
+    reason = str(found["reason"].item())
+    assert "with `froude_speed` = 7: where iterations from 1 starts" in reason
+    assert "`froude_speed` must be equal to 7: it is 0.1" in reason
+    assert xr.load_dataset(archive, group="optimum")["case"].values.tolist() == [0]
+    assert "with `froude_speed` = 7" in page
+
+
+def test_a_key_that_changes_nothing_is_named_with_its_range(tmp_path):
+    """The only mass of D is that at its hip."""
+    free = {"m_h": [0.5, 2.0]}
+    asked = study({"maximise": "froude_speed", "free": free, "starts": 1}, "D")
+
+    found = gaitsweep.run(asked, archive=tmp_path / "none.nc", jobs=1, quiet=True)
+
+    assert found["status"].item() == "raised"
+    assert str(found["reason"].item()).endswith(
+        "`m_h` is free and changes neither gaits nor what is asked of them; "
+        "got [0.5, 2.0]."
+    )
 
 
 LEVEL = {

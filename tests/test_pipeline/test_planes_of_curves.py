@@ -113,6 +113,14 @@ def test_the_page_has_the_plane(archive, tmp_path):
             "`R` is a key of `plane`, and can be no axis",
         ),
         (
+            {
+                "plane": {"R": [0.1, 0.2], "m_h": [0.0, 1.0]},
+                "levels": {"kneestrike_time": 0.1},
+            },
+            {},
+            "`levels` must be a measure of its gaits: stance_angle, ",
+        ),
+        (
             {"plane": {"R": [0.1, 0.2], "m_h": [-1.0, 1.0]}},
             {},
             "R = 0.1, m_h = -1.0 leave no walker: `m_h`",

@@ -133,6 +133,31 @@ def test_a_key_that_only_changes_units_changes_no_froude_speed():
             "`between` must be slopes above 0, as nothing but gravity drives the walker",
         ),
         (
+            {
+                "at": {"speed": 0.3, "vary": "R", "between": [-1.0, 0.3]},
+                "axes": {"slope": [0.01]},
+            },
+            "`R` must be >= 0; got -1.0 (study, at.between).",
+        ),
+        (
+            {
+                "at": {"speed": 0.3, "vary": "l_s", "between": [0.19, 0.5]},
+                "axes": {"slope": [0.01]},
+            },
+            "`between` leaves no walker at `l_s` = 0.19: `eps_T` must satisfy ",
+        ),
+        (
+            {
+                "at": {"speed": 0.3, "vary": "w_t"},
+                "axes": {"slope": [0.01], "detuning": [0.0, 0.1]},
+            },
+            "`w_t` is set by `detuning`, which owns w_t, r_t, c_t, w_s, r_s; got ",
+        ),
+        (
+            {"kind": "optimum", "axes": {"slope": [0.01, 0.02]}},
+            "`at` is of the gaits of a grid; this study is a `optimum` (study, at).",
+        ),
+        (
             {"want": {"figures": ["loglog"]}},
             "`loglog` is of gaits at slopes, and `at` seeks them at values",
         ),
@@ -218,3 +243,47 @@ def test_keys_of_gaits_of_two_steps_are_those_of_single_solves(tmp_path):
     changed = {"walker": "D", "at": at, "axes": axes, "options": {"steps": 2}}
     archive = run(tmp_path, **changed)
     assert np.nanmax(archive.R.values) == pytest.approx(radius, rel=1e-13)
+
+
+@pytest.mark.parametrize("ask", [gaitsweep.solve, gaitsweep.gaits])
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"vary": "R"}, "`vary` needs `at`, a measure with its value; got 'R'."),
+        (
+            {"between": (0.1, 0.2)},
+            "`between` needs `at`, a measure with its value; got (0.1, 0.2).",
+        ),
+    ],
+)
+def test_what_varies_for_no_measure_is_refused(ask, given, sentence):
+    with pytest.raises(StudyError) as refused:
+        ask("A", 0.01, **given)
+
+    assert str(refused.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("vary", "slope", "range_of"),
+    [
+        ("slope", 0.0232, (0.5, 1.0)),
+        ("slope", 0.0232, (1.0, 2.0)),
+        ("slope", 0.00646, (0.5, 1.0)),
+        ("slope", 0.00646, (1.0, 2.0)),
+        pytest.param("R", 0.0179801092413528, (0.5, 1.0), marks=pytest.mark.thorough),
+        pytest.param("R", 0.03, (1.0, 2.0), marks=pytest.mark.thorough),
+    ],
+)
+def test_a_gait_at_an_end_of_the_range_is_found(vary, slope, range_of):
+    """By rounding its value, or what is varied, may lie beyond."""
+    own = {"slope": slope, "R": 0.2}
+    speed = float(gaitsweep.gaits("A", slope).froude_speed.sel(gait="long"))
+    between = [share * own[vary] for share in range_of]
+    asked = {} if vary == "slope" else {"slope": slope}
+
+    found = gaitsweep.solve(
+        "A", at={"froude_speed": speed}, vary=vary, between=between, **asked
+    )
+
+    assert np.abs(found[vary] / own[vary] - 1).min() < 1e-10
+    assert (found["error_bound"] < 1e-9).all()

@@ -3,6 +3,7 @@ re-pair.
 """
 
 import itertools
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -692,3 +693,58 @@ def test_levels_of_what_is_no_measure_of_the_walker_are_refused():
 
     with pytest.raises(WalkerError, match="`levels` must be a measure of its gaits"):
         curve(params, [_atlas("B", ())])
+
+
+#: A flip of A, at its own R.
+FLIP_OF_A = 0.0642752107346758
+
+
+def curves_of_a(slopes, **options):
+    """The tables of curves of A over R."""
+    asked = {"line": {"walker": "A", "set": {}}, "slope": np.array(slopes)}
+    asked |= {"key": "R", "from": 0.2, "to": 0.3, "kinds": [], **options}
+    return curve(asked, [_atlas("A", ())])
+
+
+def test_a_curve_that_leaves_its_window_at_once_is_its_start():
+    """It begins on the borders of slope and key, and leads beyond both."""
+    for high in (FLIP_OF_A * (1 + 1e-14), FLIP_OF_A * (1 - 1e-14)):
+        found = curves_of_a([0.01, high], kinds=["flip"])
+
+        assert found["curves/value"].tolist() == [0.2]
+        assert found["curves/slope"][0] == pytest.approx(FLIP_OF_A, rel=1e-12)
+        assert found["curves/stopped"].tolist() == ["border"]
+
+
+def test_where_no_curve_begins_it_is_told_what_there_is():
+    found = curves_of_a(
+        [0.01, 0.04],
+        kinds=["flip", "neimark_sacker"],
+        levels={"froude_speed": 9.0, "stance_angle": 0.3},
+        onsets=["stance_knee_unlocks"],
+    )
+
+    assert set(found["curves/kind"]) == {"stance_angle = 0.3"}
+    (reason,) = found["partly/reason"]
+    where = "was found at `R` = 0.2, 0.3 and slopes from 0.01 to 0.04"
+    assert f"`flip` to start a curve from {where}: such points are at" in reason
+    assert "slopes 0.0642752; 0.11165" in reason
+    assert f"`neimark_sacker` to start a curve from {where}." in reason
+    assert f"`froude_speed = 9` to start a curve from {where}: values of the" in reason
+    speed = re.findall(r"values of the measure are (\S+) to (\S+)\.$", reason)
+    slow, fast = map(float, speed[0])
+    assert 0.1 < slow < 0.2 < fast < 0.4
+    assert reason.startswith("`stance_knee_unlocks` begins nowhere: ")
+
+
+@pytest.mark.thorough
+def test_a_curve_ends_on_a_border_beyond_which_there_is_no_walker_and_in_a_corner():
+    """A border was missed by rounding, where a mass is negative: the line was lost."""
+    asked = {"line": {"walker": "A", "set": {}}, "slope": np.array([FLIP_OF_A])}
+    asked |= {"plane": {"R": [0.2, 0.3], "m_h": [0.0, 1.0]}, "kinds": ["flip"]}
+
+    found = curve(asked, [{}])
+
+    assert found["curves/value"][0] == 0.2
+    assert found["curves/other_value"][[0, -1]].tolist() == [0.0, 1.0]
+    assert found["curves/stopped"][[0, -1]].tolist() == ["border", "border"]

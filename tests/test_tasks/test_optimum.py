@@ -3,6 +3,7 @@ has, and the derivatives that Lagrange's multipliers are.
 """
 
 import itertools
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -475,6 +476,7 @@ def test_where_no_gait_is_stable_the_reason_is_told():
 
     (reason,) = found["nothing"]["reason"]
     assert reason.startswith("No stable gait within the ranges and limits was found")
+    assert "`spectral_radius` must be at most 1: it is " in reason
     assert "optimum" not in found or not len(found["optimum"])
 
 
@@ -489,7 +491,11 @@ def test_constraints_that_contradict_each_other_are_named():
         starts=2,
     )
 
-    assert "`froude_speed` is not met" in found["nothing"]["reason"][0]
+    (reason,) = found["nothing"]["reason"]
+    assert "`froude_speed` is not met. `froude_speed` must be equal to 3: it" in reason
+    # What there is, of the gaits that the starts' walkers have in the window.
+    low, high = map(float, re.findall(r"it is (\S+) to (\S+) at", reason)[0])
+    assert 0 < low < 0.1 and 0.3 < high < 3
 
 
 def test_a_key_that_changes_nothing_is_an_error():

@@ -17,6 +17,7 @@ WALKERS = (
     "C",
     "D",
     "E",
+    "F",
     "physical",
 )
 
