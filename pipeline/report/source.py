@@ -317,6 +317,7 @@ class Source:
             column = self.grid.get(key)
             if (
                 key not in axes
+                and key not in at
                 and column is not None
                 and all(a in at and a in column.coords for a in axes)
             ):

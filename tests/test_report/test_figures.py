@@ -451,6 +451,7 @@ def test_branches_touch_where_a_curve_of_folds_turns_back_and_not_one_of_flips(
     }
     turns = {
         "turn": ["key"] * 2,
+        "key": ["detuning"] * 2,
         "kind": kinds,
         "slope": [0.011, 0.021],
         "value": [0.5, 0.6],
@@ -477,6 +478,7 @@ def test_a_codimension_two_point_of_two_curves_is_named_once(tmp_path):
     met = {
         "kind": kinds,
         "point": ["fold-flip"] * 2,
+        "key": ["detuning"] * 2,
         "slope": [0.015, 0.015 + 1e-13],
         "value": [0.15, 0.15],
     }
