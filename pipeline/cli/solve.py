@@ -51,11 +51,13 @@ def run(options: argparse.Namespace) -> int:
     if options.degrees and answer.get("search"):
         terminal.say("Slopes in the lines above are in rad.")
     if options.json:
+        for line in answer["absent"]:
+            terminal.say(line)
         gaits = [_for_json(gait) for gait in answer["gaits"]]
         print(json.dumps(gaits, allow_nan=False))
     else:
         lines = _lines(answer["gaits"], answer["units"], options)
-        print("\n".join([*lines, *answer["absent"]]) or "no gait")
+        print("\n".join([*lines, *answer["absent"]]))
 
     return int(any(gait["status"] != "converged" for gait in answer["gaits"]))
 
