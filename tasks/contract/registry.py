@@ -134,7 +134,7 @@ TASKS = {
         Task(
             "claims",
             "gaitsweep.tasks.ledger.check_claims:claims",
-            26,
+            27,
             needs=("points", "atlas"),
         ),
     )

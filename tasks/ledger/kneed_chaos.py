@@ -178,7 +178,7 @@ def period_three(paper: Paper) -> Found:
     four, four_at = _doublings(paper, "D", "4"), _flips(paper, "D", "4")
     more = (
         f"; likewise a period-four gait (Li & Yang 2012), from its fold at "
-        f"{four['slope'][four['kind'] == 'fold'][0]:.10f} to its flip at {four_at[0]:.10f}"
+        f"{four['slope'][four['kind'] == 'fold'][0]:.8f} rad to its flip at {four_at[0]:.8f} rad"
         if len(four_at)
         else ""
     )
@@ -314,7 +314,7 @@ def re_pairing(paper: Paper) -> Found:
         )
     ]
     neighbours = "; ".join(
-        f"at detuning {d:.4f} neighbouring folds at {', '.join(f'{s:.4f}' for s in folds) or 'no slope'}"
+        f"at detuning {d:.4f} neighbouring folds at {', '.join(f'{s:.4f} rad' for s in folds) or 'no slope'}"
         for d, folds in zip(beside, near, strict=True)
     )
 

@@ -1493,6 +1493,11 @@ def test_claims_are_printed_with_their_numbers(capsys):
     assert commands.main(["claims", "D2"]) == 0
     said = capsys.readouterr().out
     assert "D2: proved" in said and "γ < 0.015" in said and "0.0150884379411" in said
+    assert "  printed     0.015 +- 0.0005\n  computed    0.0150884\n" in said
+    # Where the paper prints none, no number stands alone, without its name.
+    assert commands.main(["claims", "E2"]) == 0
+    *_, line = capsys.readouterr().out.splitlines()
+    assert line.startswith("  computed    local exponents of the stance angle over")
     assert commands.main(["claims", "D99"]) == 2
     assert capsys.readouterr().err.startswith(
         "gaitsweep: There is no claim 'D99'; there are D1, "
