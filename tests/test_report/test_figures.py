@@ -878,6 +878,36 @@ def test_the_largest_exponent_and_the_survival_of_orbits_are_drawn(tmp_path):
     ].get_ydata().tolist() == [40.0]
     said = sketch.words[3]
     assert said.endswith("from 0.018 to 0.019 rad at all 2 slopes (D).")
+    tips = [mark.tips for mark in sketch.marks]
+    assert [each["slope"] for each in tips] == ["γ (rad)"] * 2
+    assert tips[0]["exponent"] == "exponent (per step)"
+    assert tips[1]["lifetime"] == "lifetime (steps)"
+    # A line that is alone has its walker's name in the CSV file.
+    assert set(sketch.data["line"]) == {"D"}
+
+
+@pytest.mark.parametrize(
+    ("units", "title", "told"),
+    [("SI", "period (s)", "s"), ("1", "period", "own units")],
+)
+def test_periods_have_the_units_of_their_walkers(tmp_path, units, title, told):
+    slope, dims = np.geomspace(0.01, 0.1, 40), ("slope", "gait")
+    angle = np.stack([slope, 2 * slope], 1)
+    grid = {"stance_angle": (dims, angle), "period": (dims, 1 + angle)}
+    grid["walker_units"] = ((), np.array(units, object))
+    coords, text = {"slope": slope, "gait": GAITS}, 'name = "q"\nwalker = "C"\n[axes]\n'
+    archive = write(
+        tmp_path / "q.nc",
+        text + "slope = [0.01]\n",
+        grid,
+        coords,
+        {"C": KNEED | {"units": units}},
+    )
+
+    sketch = FIGURES["linear"](read(archive))
+
+    assert {mark.tips["period"] for mark in sketch.marks} == {title}
+    assert set(sketch.data["period_unit"]) == {told}
 
 
 def test_columns_that_tell_little_stand_last_and_a_long_table_is_an_excerpt():
