@@ -567,6 +567,20 @@ def test_curves_over_an_axis_of_their_key_have_one_column_of_it(tmp_path):
     assert data["detuning"].tolist() == [0.1, 0.2]
 
 
+def test_turns_of_curves_name_the_key_that_turns(tmp_path):
+    turns = {"curve": [0, 0], "turn": ["key", "slope"], "key": ["m_h"] * 2}
+    turns |= {"slope": [0.01, 0.02], "value": [0.1, 0.2]}
+    study = 'name = "c"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01]\n'
+    archive = write(tmp_path / "c.nc", study, {}, {}, {"C": KNEED}, {"turnings": turns})
+
+    (table,) = html_tables.results(read(archive))
+
+    assert [row[table.heads.index("turn")].text for row in table.rows] == [
+        "m_h",
+        "slope",
+    ]
+
+
 def test_what_tells_two_laws_of_one_curve_apart_is_shown(tmp_path):
     laws = {
         "walker": ["C"] * 3,
