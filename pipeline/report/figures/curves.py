@@ -180,7 +180,7 @@ def _mark_touches(sketch: Sketch, source: Source, key: str) -> list[str]:
         )
         write_at(axes, words, (row.slope, row.value), (0, -16), ha="center")
         touches.append(
-            f"{key} {plain(row.value, 9)} and slope {plain(row.slope, 9)} rad"
+            f"{key} {plain(row.value, 7)} and slope {plain(row.slope, 7)} rad"
         )
 
     return touches
