@@ -1498,3 +1498,69 @@ def test_titles_of_maps_stay_apart_on_a_narrow_page(sources):
     for x, text in placed:
         end = float(x) + 0.55 * NARROW_WORDS * len(text.strip())
         assert end < min((y for y in lefts if y > float(x) + 1), default=figure.width)
+
+
+def _level_beyond(slope):
+    """Stance angles that leave free the room of an inset."""
+    return 0.3 * np.minimum(1, slope / 0.02) ** 0.3
+
+
+def _crowded(folder, lines, crowd, shape=_level_beyond):
+    """Lines of a branch of a shape, the first with special points that crowd at the
+    origin, and one apart.
+    """
+    slope = np.linspace(0.0, 0.2, 201)
+    angle = shape(slope)
+    branches = {name: [] for name in ("walker", "detuning", "slope", "stance_angle")}
+    for line in range(lines):
+        branches["walker"] += ["C"] * len(slope)
+        branches["detuning"] += [0.1 * line] * len(slope)
+        branches["slope"] += slope.tolist()
+        branches["stance_angle"] += angle.tolist()
+
+    at = [0.002 * (k + 1) for k in range(crowd)] + [0.15]
+    special = {"walker": ["C"] * len(at), "detuning": [0.0] * len(at)}
+    special |= {"kind": ["fold"] * len(at), "slope": at}
+    special["stance_angle"] = np.interp(at, slope, angle).tolist()
+
+    values = ", ".join(f"{0.1 * line:g}" for line in range(lines))
+    text = 'name = "b"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.0, 0.2]\n'
+    tables = {"branches": branches, "special_points": special}
+    return read(
+        write(
+            folder / "b.nc",
+            f"{text}detuning = [{values}]\n",
+            {},
+            {},
+            {"C": KNEED},
+            tables,
+        )
+    )
+
+
+@pytest.mark.parametrize("lines", [1, 3])
+def test_a_corner_in_which_special_points_crowd_is_enlarged(tmp_path, lines):
+    sketch = FIGURES["locus"](_crowded(tmp_path, lines, 3))
+
+    insets = [axes.child_axes for axes in sketch.panels]
+    assert [len(found) for found in insets] == [1] + [0] * (lines - 1)
+    (inset,) = insets[0]
+    # It holds the points that crowd, and not the one apart, with some margin.
+    (right, top) = inset.get_xlim()[1], inset.get_ylim()[1]
+    assert 0.006 < right < 1.5 * 0.006
+    (drawn,) = [line for line in inset.lines if line.get_linestyle() == "None"]
+    assert drawn.get_xdata().tolist() == [0.002, 0.004, 0.006]
+    assert max(drawn.get_ydata()) < top
+    # The branch is drawn in it too, and its place is framed in the panel.
+    assert any(len(line.get_xdata()) > 100 for line in inset.lines)
+    assert any(
+        list(line.get_xdata()) == [0, right, right] for line in sketch.panels[0].lines
+    )
+    assert "enlarged" in sketch.words[1]
+
+
+def test_no_corner_is_enlarged_where_few_points_lie_or_a_curve_is_in_the_way(tmp_path):
+    for crowd, shape in ((2, _level_beyond), (3, lambda slope: 40 * slope**3)):
+        sketch = FIGURES["locus"](_crowded(tmp_path, 1, crowd, shape))
+        assert not sketch.panels[0].child_axes
+        assert "enlarged" not in sketch.words[1]
