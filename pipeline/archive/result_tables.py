@@ -27,6 +27,8 @@ _LAYOUTS = {
     "stable_manifold": ("point",),
     "orbits": ("start", "stride"),
 }
+#: Tables of studies of curves, which hold values of the keys that vary.
+_OF_CURVES = ("curves", "turnings", "meetings", "curve_walkers")
 #: Names of dimensions that differ from the columns'.
 _RENAMED = {"stride": "step"}
 #: Dimensions along which a column is constant.
@@ -398,7 +400,7 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     if study.drive and name != "slope" and "slope" in meaning:
         kind, meaning = _of_drive(study.drive, kind, meaning)
     attributes = units.described(over_steps(meaning, study.steps), kind, study.checks)
-    if study.kind == "curve" and group in ("curves", "turnings", "meetings"):
+    if study.kind == "curve" and group in _OF_CURVES:
         key = _keys_of_values(study).get(name)
         if key:
             attributes["units"] = units.axis_units(key, study.checks)

@@ -113,12 +113,11 @@ def _lines(claim: dict[str, Any]) -> Iterator[str]:
     """
     yield f"{claim['id']}: {claim['verdict']}"
     yield f'  the paper   "{claim["quotation"]}" ({claim["source"]})'
-    if claim["printed_value"] is not None:
+    # The claim's own number alone would have no name: it stands beside the printed one.
+    if claim["printed_value"] is not None and claim["value"] is not None:
         half = claim["printed_half_unit"]
         margin = f" +- {half:.2g}" if half else ""
         yield f"  printed     {claim['printed_value']:.6g}{margin}"
-
-    if claim["value"] is not None:
         allowed = ""
         if claim["interval"]:
             interval = claim["interval"]

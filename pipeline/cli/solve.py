@@ -34,31 +34,37 @@ _DEGREES = {"rad": "deg", "rad s-1": "deg s-1", "1": "deg per unit of time"}
 
 def run(options: argparse.Namespace) -> int:
     """Print the gaits; the exit code is 1 if one is not converged."""
-    slope = _slope(options)
-    if options.at:
-        between = _between(options)
-        asked = options.vary, between, slope, options.set, options.limit, options.tuned
-        answer = solve_at(options.walker, options.at, *asked, options.steps)
-    else:
-        target.check_is_asked(options.vary, options.between)
-        if slope is None:
-            raise StudyError("`slope` is needed, or `at` with the value of a measure.")
-        accuracy, limits = options.accuracy, options.limit
-        chosen = options.all, options.steps, accuracy, limits, options.tuned
-        answer = solve(options.walker, slope, options.set, *chosen)
-
+    answer = _answer(options)
     for line in answer.get("search", []):
         terminal.say(line)
     if options.degrees and answer.get("search"):
         terminal.say("Slopes in the lines above are in rad.")
     if options.json:
+        for line in answer["absent"]:
+            terminal.say(line)
         gaits = [_for_json(gait) for gait in answer["gaits"]]
         print(json.dumps(gaits, allow_nan=False))
     else:
         lines = _lines(answer["gaits"], answer["units"], options)
-        print("\n".join([*lines, *answer["absent"]]) or "no gait")
+        print("\n".join([*lines, *answer["absent"]]))
 
     return int(any(gait["status"] != "converged" for gait in answer["gaits"]))
+
+
+def _answer(options: argparse.Namespace) -> dict[str, Any]:
+    """The gaits that are asked for."""
+    slope = _slope(options)
+    if options.at:
+        between = _between(options)
+        asked = options.vary, between, slope, options.set, options.limit, options.tuned
+        return solve_at(options.walker, options.at, *asked, options.steps)
+
+    target.check_is_asked(options.vary, options.between)
+    if slope is None:
+        raise StudyError("`slope` is needed, or `at` with the value of a measure.")
+    accuracy, limits = options.accuracy, options.limit
+    chosen = options.all, options.steps, accuracy, limits, options.tuned
+    return solve(options.walker, slope, options.set, *chosen)
 
 
 def _for_json(gait: Mapping[str, Any]) -> dict[str, Any]:

@@ -266,6 +266,8 @@ def _of_key(frame: pd.DataFrame) -> pd.DataFrame:
     (key,) = keys
     rest = frame.drop(columns=["key", str(key)], errors="ignore")
     renamed = rest.rename(columns={"value": str(key)})
+    if "turn" in renamed:
+        renamed["turn"] = renamed["turn"].replace({"key": str(key)})
     renamed.attrs = frame.attrs
     return renamed
 

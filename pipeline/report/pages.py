@@ -248,7 +248,7 @@ def _study_page(source: Source, slug: str, pictures: Sequence[Picture]) -> folde
     csv, files = _data_files(source, slug, frames)
     template, lines, states = (
         _environment().get_template("study.html"),
-        starts.lines(source),
+        starts.lines(source, _commands(drawn)),
         _share_states(drawn),
     )
     text = template.render(
@@ -365,6 +365,14 @@ def _data_files(
         for name, text in texts.items()
     }
     return csv, {f"csv/{name}": text for text, name in first.items()}
+
+
+def _commands(drawings: Sequence[Drawing]) -> set[str]:
+    """Commands that points of figures have of their own."""
+    asked = (
+        row[2] for drawing in drawings for t in drawing.targets for row in t["rows"]
+    )
+    return {own for own in asked if isinstance(own, str)}
 
 
 def _share_states(drawings: list[Drawing]) -> list[list[float]]:

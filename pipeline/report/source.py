@@ -20,7 +20,13 @@ from gaitsweep.pipeline.archive import layout
 from gaitsweep.pipeline.archive import read as archives
 from gaitsweep.pipeline.archive.unfold import dataset, table
 from gaitsweep.pipeline.companions import Companions
-from gaitsweep.pipeline.report.words import axis_values, print_units, spaced, titled
+from gaitsweep.pipeline.report.words import (
+    axis_values,
+    print_units,
+    spaced,
+    titled,
+    with_unit,
+)
 from gaitsweep.pipeline.study import toml
 from gaitsweep.pipeline.study.ways import ends
 
@@ -307,6 +313,13 @@ class Source:
         """The study's first walker: the only one where there is no axis of walkers."""
         return next(iter(self.walkers), "")
 
+    def period_title(self, at: Mapping[str, Any]) -> str:
+        """What the periods of a line's gaits are called: with their unit, which walkers
+        in consistent units have not.
+        """
+        walker = self.walkers.get(str(at.get("walker", self.walker)), {})
+        return with_unit("period", "s" if walker.get("units") == "SI" else "")
+
     def parameters(self, at: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of a line's walker, as far as the archive holds them, with those
         that its axes change.
@@ -317,6 +330,7 @@ class Source:
             column = self.grid.get(key)
             if (
                 key not in axes
+                and key not in at
                 and column is not None
                 and all(a in at and a in column.coords for a in axes)
             ):

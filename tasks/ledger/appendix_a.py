@@ -92,8 +92,7 @@ def hyperextension(paper: Paper) -> Found:
     """Locate the slopes at which the released knee begins to hyperextend."""
     release = paper.line("physical").special_of("release_hyperextension")[0]
     tuned = {
-        f"{label} step below slope": interval(paper, f"C release, {label}").value
-        for label in BOTH
+        f"{label} step": interval(paper, f"C release, {label}").value for label in BOTH
     }
     bent = _measure(paper, "C", (1e-4,))["hyperextension"]
 

@@ -76,7 +76,7 @@ def backed(name: str, finding: ClaimResult, folder: Path = FOLDER) -> ClaimResul
 def _statements(certificate: Mapping[str, Any]) -> Iterator[str]:
     if certificate["kind"] == "tube":
         low, high = certificate["slope"]
-        yield f"a stable {certificate['gait']} step at every slope from {low} to {high}"
+        yield f"a stable {certificate['gait']} step at every slope from {low} to {high} rad"
     else:
         middle, radius = certificate["slope"]
         what = (
@@ -84,4 +84,4 @@ def _statements(certificate: Mapping[str, Any]) -> Iterator[str]:
             if certificate["kind"] == "flip"
             else "the branch turns back"
         )
-        yield f"{what} at {middle} +- {radius} ({certificate['name']})"
+        yield f"{what} at {middle} +- {radius} rad ({certificate['name']})"

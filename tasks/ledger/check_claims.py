@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -23,6 +24,10 @@ _TABLES: dict[str, dict[str, Callable[[Paper], list[dict[str, Any]]]]] = {
     },
     "T7": {"offsets": tuned_walkers.offsets},
 }
+
+
+#: Least share of its end that an interval is wide to be told in digits.
+_LEAST = 1e-12
 
 
 def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -108,6 +113,17 @@ def _check(claim: Claim, paper: Paper) -> ClaimResult:
         return ClaimResult(f"{type(error).__name__}: {error}", NOT_CHECKABLE)
 
 
+def _interval(low: float, high: float) -> str:
+    """An interval in words, in as many digits as its width has three of; empty if there
+    is none.
+    """
+    if not low <= high:
+        return ""
+    size = max(abs(low), abs(high)) or 1.0
+    digits = 3 + math.ceil(math.log10(size / max(high - low, _LEAST * size)))
+    return f"{low:.{digits}g} to {high:.{digits}g}"
+
+
 def _row(claim: Claim, result: ClaimResult) -> dict[str, Any]:
     return {
         "id": claim.id,
@@ -118,9 +134,7 @@ def _row(claim: Claim, result: ClaimResult) -> dict[str, Any]:
         "value": result.value,
         "printed_value": float(claim.number.number),
         "printed_half_unit": float(claim.number.half_unit),
-        "interval": f"{result.low:.12g} to {result.high:.12g}"
-        if result.low <= result.high
-        else "",
+        "interval": _interval(result.low, result.high),
         "interval_low": result.low,
         "interval_high": result.high,
         "verdict": result.verdict,

@@ -115,7 +115,7 @@ class Claim:
 
 class _Sentences(string.Formatter):
     """Sentences with numbers: a list is formatted value by value, a mapping likewise,
-    each value behind its name.
+    each value behind its name, with a colon where that holds a number itself.
 
     `plain` are numbers as they are written by hand: 1e-8.
     """
@@ -124,7 +124,7 @@ class _Sentences(string.Formatter):
         """Format a value."""
         if isinstance(value, Mapping):
             return ", ".join(
-                f"{name} {self.format_field(one, format_spec)}"
+                f"{_apart(str(name))} {self.format_field(one, format_spec)}"
                 for name, one in value.items()
             )
         if isinstance(value, list | tuple | np.ndarray):
@@ -135,6 +135,11 @@ class _Sentences(string.Formatter):
             if format_spec == "plain"
             else format(value, format_spec)
         )
+
+
+def _apart(name: str) -> str:
+    """A name that can be told from the number behind it."""
+    return f"{name}:" if any(character.isdigit() for character in name) else name
 
 
 class Found(NamedTuple):

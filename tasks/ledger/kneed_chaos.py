@@ -175,13 +175,6 @@ def period_three(paper: Paper) -> Found:
     )
     coexists = at[0] < _flips(paper, "D", "1")[0]
     separate = limit["slope"][0] < end[1] < chaos_1[0] < chaos_1[1]
-    four, four_at = _doublings(paper, "D", "4"), _flips(paper, "D", "4")
-    more = (
-        f"; likewise a period-four gait (Li & Yang 2012), from its fold at "
-        f"{four['slope'][four['kind'] == 'fold'][0]:.10f} to its flip at {four_at[0]:.10f}"
-        if len(four_at)
-        else ""
-    )
     holds = verdict(
         fold < PRINTED["D9"].number < at[0] and coexists and separate and len(at) > 2
     )
@@ -192,9 +185,22 @@ def period_three(paper: Paper) -> Found:
         "limit": limit,
         "end": end,
         "chaos_1": chaos_1,
-        "more": more,
+        "more": _period_four(paper),
     }
     return found(holds, 0.5 * (fold + at[0]), **told)
+
+
+def _period_four(paper: Paper) -> str:
+    """Where D has a gait of period four that is stable, in words."""
+    events, flips = _doublings(paper, "D", "4"), _flips(paper, "D", "4")
+    if not len(flips):
+        return ""
+
+    fold = events["slope"][events["kind"] == "fold"][0]
+    return (
+        f"; likewise a period-four gait (Li & Yang 2012), from its fold at {fold:.8f} rad "
+        f"to its flip at {flips[0]:.8f} rad"
+    )
 
 
 @claim("K1")
@@ -314,7 +320,7 @@ def re_pairing(paper: Paper) -> Found:
         )
     ]
     neighbours = "; ".join(
-        f"at detuning {d:.4f} neighbouring folds at {', '.join(f'{s:.4f}' for s in folds) or 'no slope'}"
+        f"at detuning {d:.4f} neighbouring folds at {', '.join(f'{s:.4f} rad' for s in folds) or 'no slope'}"
         for d, folds in zip(beside, near, strict=True)
     )
 

@@ -39,7 +39,7 @@ def stability(paper: Paper) -> Found:
     least = min(r.min() for r in shown if len(r))
     stable = paper.line("physical").stable()
     kneed = " and ".join(
-        f"from the {a['kind']} at slope {a['slope']:.7g} to the {b['kind']} at {b['slope']:.7g}"
+        f"from the {a['kind']} at slope {a['slope']:.7g} rad to the {b['kind']} at {b['slope']:.7g} rad"
         for a, b in stable
     )
     value = stable[0][1]["slope"] if stable else math.nan
@@ -93,7 +93,7 @@ def points_3_4(paper: Paper) -> Found:
     fourth = paper.line("physical-straight").special_of("end_zero_step")[0]
     end = paper.line("physical").special_of("end_tangential_heelstrike")
     beyond = (
-        f"; the branch continues, flagged, to slope {end[0]['slope']:.5f}"
+        f"; the branch continues, flagged, to slope {end[0]['slope']:.5f} rad"
         if end
         else ""
     )

@@ -85,7 +85,7 @@ class Interval:
     half_unit: dict[str, float]
 
     def __str__(self) -> str:
-        return f"{self.value:.7g} (rounding allows {self.low:.4g}-{self.high:.4g}, dominated by {self.most})"
+        return f"{self.value:.7g} rad (rounding allows {self.low:.4g}-{self.high:.4g}, dominated by {self.most})"
 
     @property
     def bounds(self) -> tuple[float, float, float]:

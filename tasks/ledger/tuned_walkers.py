@@ -222,7 +222,7 @@ def high_slopes(paper: Paper) -> Found:
     points = [p for p in paper.line("physical").special if p["branch"] == tops.argmax()]
     fold = next(p for p in points if p["kind"] == "fold")
     others = ", ".join(
-        f"{p['kind'].replace('_', ' ')} at {p['slope']:.6f}"
+        f"{p['kind'].replace('_', ' ')} at {p['slope']:.6f} rad"
         for p in points
         if p["kind"] in ("flip", "end_kneestrike_at_heelstrike")
     )

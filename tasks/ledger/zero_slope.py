@@ -158,7 +158,7 @@ def stable_below(paper: Paper) -> Found:
         for name in unstable
     }
     ranges = [
-        f"{name} to {slope:.6g}"
+        f"{name} to {slope:.6g} rad"
         if slope > 0
         else f"{name} nowhere (spectral radius at least {least[name]:.4f})"
         for name, slope in limit.items()

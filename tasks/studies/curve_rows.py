@@ -10,12 +10,18 @@ from typing import Any
 import numpy as np
 
 from gaitsweep.tasks.branches.curves import walks
+from gaitsweep.tasks.branches.equations import Keys
 from gaitsweep.tasks.branches.meetings import Followed
 from gaitsweep.tasks.branches.normal_forms import NormalForm
+from gaitsweep.tasks.contract.tables import Arrays, table
 from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.walkers.walker import NUMBERS
 
 #: Columns of a normal form.
 FORM = ("normal_form", "normal_form_error", "criticality")
+#: Tables of points, and their columns of the values of the keys that vary.
+_POINTS = ("curves", "turnings", "meetings")
+_VALUES = ("value", "other_value")
 
 
 def rows(
@@ -64,3 +70,35 @@ def start_and_period(
     in_units = [rate / time_unit for rate in rates]
     period = float(Z[-2]) * time_unit
     return (angle, *in_units, period)
+
+
+def walkers_of(keys: Keys, found: Arrays) -> Arrays:
+    """Return the table `curve_walkers`: all keys of the walkers at the points of curves.
+
+    Parameters
+    ----------
+    keys : Keys
+        Those that vary.
+    found : dict of ndarray
+        The tables of points.
+
+    Returns
+    -------
+    dict of ndarray
+        The values of the keys that vary, in rising order and each once, with the
+        numbers of the walker there.
+    """
+    columns = _VALUES[: len(keys.names)]
+    places: set[tuple[float, ...]] = set()
+    for group in _POINTS:
+        if f"{group}/value" in found:
+            values = [found[f"{group}/{name}"].tolist() for name in columns]
+            places.update(zip(*values, strict=True))
+
+    rows = []
+    for place in sorted(places):
+        walker = keys.walker_at(*place)
+        numbers = [float(getattr(walker, name)) for name in NUMBERS]
+        rows.append((*place, *numbers))
+
+    return table("curve_walkers", rows, (*columns, *NUMBERS))

@@ -37,7 +37,12 @@ from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
 from gaitsweep.tasks.studies.check_curve import without_meaning
-from gaitsweep.tasks.studies.curve_rows import FORM, rows, start_and_period
+from gaitsweep.tasks.studies.curve_rows import (
+    FORM,
+    rows,
+    start_and_period,
+    walkers_of,
+)
 from gaitsweep.tasks.studies.follow_over_keys import curves_over_keys
 from gaitsweep.tasks.walkers.resolve import value_of_key, walker_of_line, walkers_over
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
@@ -86,11 +91,12 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         criticality, walks, and at its ends `stopped`:
         why it was followed no further; over a `plane` at fixed slopes also `other_key`
         and `other_value`), `turnings` (turning points of key or slope
-        along a curve: curve, kind, turn, and from slope to error_bound the same) and
+        along a curve: curve, kind, turn, and from slope to error_bound the same),
         `meetings` (codimension-two points along a curve: curve, kind, point, its name,
         meets, the other condition, the same, and value_error, the bound on the key's
-        error; over a `plane` without error_bound, and with other_value_error too), in the
-        walker's units.
+        error; over a `plane` without error_bound, and with other_value_error too) and
+        `curve_walkers` (value, other_value, and all numbers of the walkers there), in
+        the walker's units.
 
     Raises
     ------
@@ -112,6 +118,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     found = table("curves", tables.curves, _CURVES)
     found |= table("turnings", tables.turnings, _TURNINGS)
     found |= table("meetings", tables.meetings, _MEETINGS)
+    found |= walkers_of(keys, found)
     return found | lacking([*absent, *tables.absent], bool(tables.curves))
 
 

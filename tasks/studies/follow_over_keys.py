@@ -29,7 +29,12 @@ from gaitsweep.tasks.contract.tables import Arrays, lacking, table
 from gaitsweep.tasks.measures.levels import LEVEL
 from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
-from gaitsweep.tasks.studies.curve_rows import FORM, rows, start_and_period
+from gaitsweep.tasks.studies.curve_rows import (
+    FORM,
+    rows,
+    start_and_period,
+    walkers_of,
+)
 from gaitsweep.tasks.studies.gaits_over_key import (
     SURVEYED,
     gaits_over_key,
@@ -137,7 +142,7 @@ def curves_over_keys(
     Returns
     -------
     dict
-        The tables `curves` and `meetings`, as `tasks.studies.follow_curves:curve` has
+        The tables `curves`, `meetings` and `curve_walkers`, as `tasks.studies.follow_curves:curve` has
         them over a plane.
 
     Raises
@@ -165,6 +170,8 @@ def curves_over_keys(
 
     tables = table("curves", found, _CURVES)
     tables |= table("meetings", met_there, _MEETINGS)
+    # Both keys, and with them the walkers, are the same at every slope.
+    tables |= walkers_of(plane.keys, tables)
     return tables | lacking(absent, bool(found))
 
 

@@ -128,7 +128,7 @@ def _solve_steps(
         guesses = starts(walker, [slope])[0].shape[1]
         log.append(f"{guesses} initial guesses at slope {slope:g}")
         if not found:
-            log += _nothing_found(walker, point, slope, nearest)
+            log += [nearest, *_by_the_other_rule(walker, slope)]
     else:
         log += _left_out(point)
 
@@ -201,19 +201,6 @@ def _converged(point: Mapping[str, Any]) -> dict[int, _Gait]:
     return {g: {k: point[k][0, g] for k in WANT} for g in solved}
 
 
-def _said(point: Mapping[str, Any], *places: int) -> list[str]:
-    """Those of a point's sentences at some places."""
-    return [str(point["reasons"][place]) for place in places]
-
-
-def _nothing_found(
-    walker: Walker, point: Mapping[str, Any], slope: float, nearest: str
-) -> list[str]:
-    """What is said of a slope at which no gait was found."""
-    said = _said(point, status.NO_LONG, status.NO_SHORT)
-    return [*said, nearest, *_by_the_other_rule(walker, slope)]
-
-
 def _by_the_other_rule(walker: Walker, slope: float) -> list[str]:
     """What is said where a walker with knees has gaits at a slope only if its trailing
     knee follows the other rule.
@@ -233,7 +220,7 @@ def _by_the_other_rule(walker: Walker, slope: float) -> list[str]:
 def _left_out(point: Mapping[str, Any]) -> list[str]:
     """What is said where branches have more gaits than there are labels."""
     has_more = (point["reason"] == status.UNLABELLED).any()
-    return _said(point, status.UNLABELLED) if has_more else []
+    return [str(point["reasons"][status.UNLABELLED])] if has_more else []
 
 
 def answer(
@@ -276,9 +263,10 @@ def _solve_cycles(
         gait |= end_of_first_step(line, slope, gait)
         gaits.append((GAITS[place], gait))
 
-    log = _left_out(point) if gaits else _said(point, status.NO_LONG)
+    log = _left_out(point) if gaits else []
+    absent = [] if gaits else [str(point["reasons"][status.NO_LONG])]
     records = [record(label, slope, gait, walker) for label, gait in gaits]
-    return answer(records, walker, log)
+    return answer(records, walker, log, absent)
 
 
 def end_of_first_step(

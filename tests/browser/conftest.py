@@ -20,6 +20,8 @@ STUDIES = {
     '[want]\nvariables = ["stance_angle", "multipliers"]\nfits = ["transition"]\nfigures = ["loglog"]\n',
     "branches": 'kind = "branch"\nwalker = "C"\n[axes]\ndetuning = [0.1]\nslope = { from = 1e-3, to = 0.1, n = 60 }\n'
     '[want]\nfigures = ["locus"]\n',
+    "flips": 'kind = "curve"\nwalker = "A"\n[axes]\ndetuning = [0.5]\nslope = [1e-3, 0.2]\n'
+    '[want]\nfigures = ["curves"]\n[options]\nkey = "detuning"\nfrom = 0.48\nto = 0.56\nkinds = ["flip"]\n',
     "ends": 'kind = "branch"\nwalker = "physical"\n[axes]\nslope = { from = 0.015, to = 0.06, n = 60 }\n'
     '[want]\nfigures = ["locus"]\n',
     "map": 'walker = "B"\n[axes]\nR = { from = 0.1, to = 0.4, n = 31 }\nslope = { from = 0.005, to = 0.05, n = 30 }\n'

@@ -145,6 +145,15 @@ def test_the_first_tab_offers_to_skip_to_the_content(visit, keys):
     assert ask(browser, "document.activeElement.textContent") == "Skip to the content"
 
 
+def test_the_last_words_of_a_printed_page_stay_with_what_is_before(visit):
+    browser = visit("transition")
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    style = "getComputedStyle(document.querySelector('main > footer'))"
+    kept = browser.execute_script(f"return {style}.breakBefore")
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert kept == "avoid"
+
+
 @pytest.mark.parametrize("name", ["index", "transition"])
 def test_a_page_prints(visit, name):
     sheet = visit(name).execute_cdp_cmd("Page.printToPDF", {"printBackground": True})

@@ -20,6 +20,7 @@ pytestmark = pytest.mark.thorough
 EVERY = (
     "curves",
     "branches",
+    "flips",
     "map",
     "ratios",
     "cube",
@@ -194,6 +195,30 @@ def test_a_click_on_a_curve_makes_that_gait_walk_and_marks_it_everywhere(walk, c
     first = ask(browser, LEG)
     time.sleep(0.3)
     assert ask(browser, LEG) != first
+
+
+def test_every_point_of_a_curve_over_a_key_walks_as_the_walker_there(walk, chains):
+    browser = walk("flips")
+    # A gait walks before anything is asked.
+    assert part(browser, "title").text.startswith("Long-step gait of walker A")
+    curve, *_ = data(browser, "curves", "marks")
+    for row in curve["rows"][::6]:
+        click(browser, chains, "curves", row[:2])
+        command = part(browser, "command").text
+
+        assert command == row[2]
+        words = shlex.split(command)
+        key, value = words[words.index("--set") + 1].split("=")
+        found = selected(browser)
+        assert found[key] == pytest.approx(float(value), rel=1e-9)
+        assert found["slope"] == pytest.approx(float(words[-1]), rel=1e-9)
+        # At a flip of the walker of that detuning, and of no other, a multiplier is -1.
+        radius = part(browser, "facts").text.split("max |λ|")[1].split("stable")[0]
+        assert float(radius.split()[0]) == pytest.approx(1, abs=1e-4)
+        ring = ask(browser, "document.querySelector('#curves .ring').style.left")
+        scale = ask(browser, "document.querySelector('#curves .plot').clientWidth")
+        width = one(browser, "#curves .plot").get_attribute("data-width")
+        assert float(ring[:-2]) == pytest.approx(row[0] * scale / float(width), abs=1)
 
 
 def test_a_selection_can_be_sent(walk, chains):

@@ -1063,7 +1063,8 @@ def test_solve_shows_ten_rows_of_six_digits_and_why_a_label_has_no_gait(capsys):
         line.endswith("-0.143612-0.266375j, 0.255931")
         for line in told("--walker", "A", "--slope", "0.03")
     )
-    assert told("--walker", "D", "--slope", "0.014", "--steps", "2") == ["no gait"]
+    (none,) = told("--walker", "D", "--slope", "0.014", "--steps", "2")
+    assert none.startswith("No gait of period 2 at this slope: the branches found span")
 
 
 def test_slopes_beyond_all_branches_are_told_apart_from_gaps():
@@ -1120,7 +1121,7 @@ def test_the_conditions_at_vanishing_slope_are_not_said_to_suffice(capsys, tmp_p
 
 
 def test_slopes_in_the_words_of_a_search_are_said_to_be_in_radians(capsys):
-    """The reason for no gait at 0.05 degrees names slopes from 0.016 on."""
+    """At 0.06 degrees too, guesses are made at slopes from 0.0007 rad on."""
     for options, said in ((["--degrees"], True), ([], False)):
         assert (
             commands.main(
@@ -1129,7 +1130,7 @@ def test_slopes_in_the_words_of_a_search_are_said_to_be_in_radians(capsys):
             == 0
         )
         told = capsys.readouterr().err
-        assert "the branches found span 0.0" in told and ("in rad" in told) == said
+        assert "at 18 slopes from 0.0007" in told and ("in rad" in told) == said
 
 
 def test_simulate_tells_steps_and_their_end_in_words_and_to_machines(capsys):
@@ -1228,6 +1229,22 @@ def test_without_a_gait_nothing_is_simulated(capsys, gait, said):
         == 1
     )
     assert capsys.readouterr() == ("", f"gaitsweep: {said}\n")
+
+
+@pytest.mark.parametrize("form", [[], ["--json"]])
+@pytest.mark.parametrize(
+    ("slope", "steps", "said"),
+    [("0.01", "1", ["No long gait", "No short gait"]), ("0.2", "2", ["No gait of"])],
+)
+def test_why_there_is_no_gait_is_said_once(capsys, form, slope, steps, said):
+    words = ["--walker", "physical-straight", "--slope", slope, "--steps", steps]
+    assert commands.main(["solve", *words, *form]) == 0
+    told = capsys.readouterr()
+    # What is read by machines holds gaits alone.
+    where, elsewhere = (told.err, told.out) if form else (told.out, told.err)
+    for words in said:
+        assert where.count(words) == 1
+    assert "No " not in elsewhere and "no gait" not in elsewhere
 
 
 def test_degrees_of_a_rate_without_a_unit_of_time_are_no_angle(capsys):
@@ -1484,6 +1501,11 @@ def test_claims_are_printed_with_their_numbers(capsys):
     assert commands.main(["claims", "D2"]) == 0
     said = capsys.readouterr().out
     assert "D2: proved" in said and "γ < 0.015" in said and "0.0150884379411" in said
+    assert "  printed     0.015 +- 0.0005\n  computed    0.0150884\n" in said
+    # Where the paper prints none, no number stands alone, without its name.
+    assert commands.main(["claims", "E2"]) == 0
+    *_, line = capsys.readouterr().out.splitlines()
+    assert line.startswith("  computed    local exponents of the stance angle over")
     assert commands.main(["claims", "D99"]) == 2
     assert capsys.readouterr().err.startswith(
         "gaitsweep: There is no claim 'D99'; there are D1, "

@@ -107,7 +107,7 @@ def test_gaits_of_two_steps_at_one_point():
     for name in ("stance_angle", "period", "speed", "error_bound"):
         assert found[name][0] == alone[name].item()
     none = gaitsweep.solve("D", 0.014, steps=2)
-    assert none.empty and none.attrs["search"][0].startswith(
+    assert none.empty and none.attrs["absent"][0].startswith(
         "No gait of period 2 at this slope: the branches found span"
     )
     with pytest.raises(

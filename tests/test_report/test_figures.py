@@ -451,6 +451,7 @@ def test_branches_touch_where_a_curve_of_folds_turns_back_and_not_one_of_flips(
     }
     turns = {
         "turn": ["key"] * 2,
+        "key": ["detuning"] * 2,
         "kind": kinds,
         "slope": [0.011, 0.021],
         "value": [0.5, 0.6],
@@ -477,6 +478,7 @@ def test_a_codimension_two_point_of_two_curves_is_named_once(tmp_path):
     met = {
         "kind": kinds,
         "point": ["fold-flip"] * 2,
+        "key": ["detuning"] * 2,
         "slope": [0.015, 0.015 + 1e-13],
         "value": [0.15, 0.15],
     }
@@ -876,6 +878,36 @@ def test_the_largest_exponent_and_the_survival_of_orbits_are_drawn(tmp_path):
     ].get_ydata().tolist() == [40.0]
     said = sketch.words[3]
     assert said.endswith("from 0.018 to 0.019 rad at all 2 slopes (D).")
+    tips = [mark.tips for mark in sketch.marks]
+    assert [each["slope"] for each in tips] == ["γ (rad)"] * 2
+    assert tips[0]["exponent"] == "exponent (per step)"
+    assert tips[1]["lifetime"] == "lifetime (steps)"
+    # A line that is alone has its walker's name in the CSV file.
+    assert set(sketch.data["line"]) == {"D"}
+
+
+@pytest.mark.parametrize(
+    ("units", "title", "told"),
+    [("SI", "period (s)", "s"), ("1", "period", "own units")],
+)
+def test_periods_have_the_units_of_their_walkers(tmp_path, units, title, told):
+    slope, dims = np.geomspace(0.01, 0.1, 40), ("slope", "gait")
+    angle = np.stack([slope, 2 * slope], 1)
+    grid = {"stance_angle": (dims, angle), "period": (dims, 1 + angle)}
+    grid["walker_units"] = ((), np.array(units, object))
+    coords, text = {"slope": slope, "gait": GAITS}, 'name = "q"\nwalker = "C"\n[axes]\n'
+    archive = write(
+        tmp_path / "q.nc",
+        text + "slope = [0.01]\n",
+        grid,
+        coords,
+        {"C": KNEED | {"units": units}},
+    )
+
+    sketch = FIGURES["linear"](read(archive))
+
+    assert {mark.tips["period"] for mark in sketch.marks} == {title}
+    assert set(sketch.data["period_unit"]) == {told}
 
 
 def test_columns_that_tell_little_stand_last_and_a_long_table_is_an_excerpt():
@@ -1466,3 +1498,69 @@ def test_titles_of_maps_stay_apart_on_a_narrow_page(sources):
     for x, text in placed:
         end = float(x) + 0.55 * NARROW_WORDS * len(text.strip())
         assert end < min((y for y in lefts if y > float(x) + 1), default=figure.width)
+
+
+def _level_beyond(slope):
+    """Stance angles that leave free the room of an inset."""
+    return 0.3 * np.minimum(1, slope / 0.02) ** 0.3
+
+
+def _crowded(folder, lines, crowd, shape=_level_beyond):
+    """Lines of a branch of a shape, the first with special points that crowd at the
+    origin, and one apart.
+    """
+    slope = np.linspace(0.0, 0.2, 201)
+    angle = shape(slope)
+    branches = {name: [] for name in ("walker", "detuning", "slope", "stance_angle")}
+    for line in range(lines):
+        branches["walker"] += ["C"] * len(slope)
+        branches["detuning"] += [0.1 * line] * len(slope)
+        branches["slope"] += slope.tolist()
+        branches["stance_angle"] += angle.tolist()
+
+    at = [0.002 * (k + 1) for k in range(crowd)] + [0.15]
+    special = {"walker": ["C"] * len(at), "detuning": [0.0] * len(at)}
+    special |= {"kind": ["fold"] * len(at), "slope": at}
+    special["stance_angle"] = np.interp(at, slope, angle).tolist()
+
+    values = ", ".join(f"{0.1 * line:g}" for line in range(lines))
+    text = 'name = "b"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.0, 0.2]\n'
+    tables = {"branches": branches, "special_points": special}
+    return read(
+        write(
+            folder / "b.nc",
+            f"{text}detuning = [{values}]\n",
+            {},
+            {},
+            {"C": KNEED},
+            tables,
+        )
+    )
+
+
+@pytest.mark.parametrize("lines", [1, 3])
+def test_a_corner_in_which_special_points_crowd_is_enlarged(tmp_path, lines):
+    sketch = FIGURES["locus"](_crowded(tmp_path, lines, 3))
+
+    insets = [axes.child_axes for axes in sketch.panels]
+    assert [len(found) for found in insets] == [1] + [0] * (lines - 1)
+    (inset,) = insets[0]
+    # It holds the points that crowd, and not the one apart, with some margin.
+    (right, top) = inset.get_xlim()[1], inset.get_ylim()[1]
+    assert 0.006 < right < 1.5 * 0.006
+    (drawn,) = [line for line in inset.lines if line.get_linestyle() == "None"]
+    assert drawn.get_xdata().tolist() == [0.002, 0.004, 0.006]
+    assert max(drawn.get_ydata()) < top
+    # The branch is drawn in it too, and its place is framed in the panel.
+    assert any(len(line.get_xdata()) > 100 for line in inset.lines)
+    assert any(
+        list(line.get_xdata()) == [0, right, right] for line in sketch.panels[0].lines
+    )
+    assert "enlarged" in sketch.words[1]
+
+
+def test_no_corner_is_enlarged_where_few_points_lie_or_a_curve_is_in_the_way(tmp_path):
+    for crowd, shape in ((2, _level_beyond), (3, lambda slope: 40 * slope**3)):
+        sketch = FIGURES["locus"](_crowded(tmp_path, 1, crowd, shape))
+        assert not sketch.panels[0].child_axes
+        assert "enlarged" not in sketch.words[1]

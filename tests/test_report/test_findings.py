@@ -567,6 +567,44 @@ def test_curves_over_an_axis_of_their_key_have_one_column_of_it(tmp_path):
     assert data["detuning"].tolist() == [0.1, 0.2]
 
 
+def test_residuals_say_how_far_the_worst_law_is_off(tmp_path):
+    slope = np.geomspace(1e-4, 0.1, 31)
+    # Within its range the law is 2 % too large at one slope alone.
+    angle = slope ** (1 / 3)
+    angle[10] /= 1.02
+    angle[slope > 0.02] *= 3
+    law = {"walker": ["C"], "gait": ["long"], "quantity": ["stance_angle"]}
+    law |= {"regime": ["small"], "exponent": [1 / 3], "amplitude": [1.0]}
+    law |= {"from": [1e-4], "to": [0.01], "n": [21]}
+    study = 'name = "r"\nwalker = "C"\n[axes]\nslope = [0.01]\n'
+    archive = write(
+        tmp_path / "r.nc",
+        study,
+        {"stance_angle": (("slope", "gait"), angle[:, None])},
+        {"slope": slope, "gait": np.array(["long"], object)},
+        {"C": KNEED},
+        {"fits/scaling": law},
+    )
+
+    sketch = FIGURES["residuals"](read(archive))
+
+    assert sketch.words[3] == "The laws fit to within 2 %."
+
+
+def test_turns_of_curves_name_the_key_that_turns(tmp_path):
+    turns = {"curve": [0, 0], "turn": ["key", "slope"], "key": ["m_h"] * 2}
+    turns |= {"slope": [0.01, 0.02], "value": [0.1, 0.2]}
+    study = 'name = "c"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01]\n'
+    archive = write(tmp_path / "c.nc", study, {}, {}, {"C": KNEED}, {"turnings": turns})
+
+    (table,) = html_tables.results(read(archive))
+
+    assert [row[table.heads.index("turn")].text for row in table.rows] == [
+        "m_h",
+        "slope",
+    ]
+
+
 def test_what_tells_two_laws_of_one_curve_apart_is_shown(tmp_path):
     laws = {
         "walker": ["C"] * 3,

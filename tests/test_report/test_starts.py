@@ -120,6 +120,67 @@ def test_a_branch_without_rates_has_no_starts(tmp_path):
     assert line["branches"] == [] and line["first"] == "" and starts.brief([line]) == []
 
 
+def _points_of_curves(folder):
+    """A curve of three points over the detuning of a line, with their walkers."""
+    keys = np.array([0.1, 0.5, 0.9])
+    line = {"walker": ["C"] * 3, "detuning": [0.5] * 3, "value": keys}
+
+    curve = line | {"curve": [0] * 3, "kind": ["fold"] * 3}
+    curve |= {"key": ["detuning"] * 3, "slope": [0.01, 0.02, 0.03]}
+    curve["stance_angle"] = [0.2] * 3
+    for name in RATES:
+        curve[name] = [-0.3] * 3
+
+    walkers = line | {"w_t": -keys, "c_t": 2 * keys}
+    for name in ("l_t", "m_t", "R"):
+        walkers[name] = [KNEED[name]] * 3
+
+    text = 'name = "c"\nkind = "curve"\nwalker = "C"\n[axes]\ndetuning = [0.5]\n'
+    text += 'slope = [0.01, 0.1]\n[want]\nfigures = ["curves"]'
+    grid = {"w_t": (("detuning",), [-0.5]), "c_t": (("detuning",), [1.0])}
+    varied = dict.fromkeys(grid, "detuning")
+
+    archive = write(
+        folder / "c.nc",
+        text,
+        grid,
+        {"detuning": [0.5]},
+        {"C": KNEED},
+        {"curves": curve, "curve_walkers": walkers},
+        varied=varied,
+    )
+    return read(archive)
+
+
+def test_points_of_curves_over_a_key_start_the_walkers_there(tmp_path):
+    source = _points_of_curves(tmp_path)
+    drawing = draw(source, "curves", "s")
+    commands = {row[2] for target in drawing.targets for row in target["rows"]}
+
+    lines = starts.lines(source, commands)
+
+    assert [line["at"] for line in lines] == [
+        {"walker": "C", "detuning": value} for value in (0.1, 0.5, 0.9)
+    ]
+    assert [line["keys"]["w_t"] for line in lines] == [-0.1, -0.5, -0.9]
+    assert [line["keys"]["c_t"] for line in lines] == [0.2, 1.0, 1.8]
+    # The page's script finds them by the commands of the points.
+    for line, slope in zip(lines, ("0.01", "0.02", "0.03"), strict=True):
+        assert f"{line['command']} --slope {slope}" in commands
+
+    (target,) = drawing.targets
+    assert len(target["starts"]) == 3
+    assert target["command"] not in {line["command"] for line in lines}
+    assert starts.lines(source) == []
+
+
+def test_points_of_curves_without_their_walkers_do_not_walk(tmp_path):
+    source = _points_of_curves(tmp_path)
+    commands = {row[2] for row in draw(source, "curves", "s").targets[0]["rows"]}
+    del source.tables["curve_walkers"]
+    assert starts.lines(source, commands) == []
+
+
 def test_rows_of_a_table_have_the_addresses_of_their_gaits(tmp_path):
     text = 'name = "b"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.02]\ndetuning = [0.1]'
     rows = {

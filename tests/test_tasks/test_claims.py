@@ -2,6 +2,8 @@
 down.
 """
 
+import json
+import re
 import tomllib
 from pathlib import Path
 from unittest.mock import MagicMock
@@ -141,6 +143,46 @@ def test_the_sentence_of_a_claim_says_the_constants_of_its_module(monkeypatch):
     assert rule.CLAIMS["Q1"].find(PAPER).computed == "up to 3e-8, beyond 0.2"
 
 
+NUMBER = r"-?\d[\d.]*(?:e-?\d+)?"
+
+
+def kept_ledger():
+    """The claims as they are computed, which another test compares."""
+    path = ROOT / "data" / "reference" / "ledger.json"
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def digits_of(number):
+    """Number of significant digits of a number in words."""
+    return len(number.partition("e")[0].replace(".", "").strip("-0"))
+
+
+def test_numbers_of_the_ledgers_sentences_have_few_digits():
+    for claim in kept_ledger():
+        # What is proved has all the digits that are.
+        said = claim["computed"].partition("; proved: ")[0]
+        for number in re.findall(NUMBER, f"{said} {claim['interval']}"):
+            assert digits_of(number) <= 9, (claim["id"], number)
+
+
+def test_slopes_of_the_ledgers_sentences_have_a_unit():
+    slopes = re.compile(rf"\bslopes? (?:from )?{NUMBER}(?:(?:,| to| and) {NUMBER})*")
+    for claim in kept_ledger():
+        said = claim["computed"].partition("; proved: ")[0]
+        for found in slopes.finditer(said):
+            assert said[found.end() :].startswith(" rad"), (claim["id"], found[0])
+
+
+def test_an_interval_has_as_many_digits_as_its_width_tells():
+    allowed = [claim for claim in kept_ledger() if claim["interval"]]
+    assert len(allowed) > 5
+    for claim in allowed:
+        ends = np.array(claim["interval"].split(" to "), float)
+        exact = np.array([claim["interval_low"], claim["interval_high"]])
+        assert abs(ends - exact).max() < 1e-2 * np.ptp(exact)
+        assert max(map(digits_of, claim["interval"].split(" to "))) <= 5
+
+
 def test_no_sentence_repeats_a_constant():
     said = rule._SAID
     assert not [
@@ -149,7 +191,7 @@ def test_no_sentence_repeats_a_constant():
         if "1e-09" in sentence or "1e-8 to" in sentence
     ]
     assert (
-        "{VANISHING:g}" in said["M3"]
+        "{VANISHING:plain}" in said["M3"]
         and "{GRID[0]:plain}" in said["D1"]
         and "{TOLERANCE:g}" in said["Z6"]
     )

@@ -28,7 +28,7 @@ from gaitsweep.tasks.branches.joint import rounding_step
 from gaitsweep.tasks.branches.special_points import special_points
 from gaitsweep.tasks.studies.follow_curves import _is_ordinary, curve
 from gaitsweep.tasks.studies.map_step import map_step
-from gaitsweep.tasks.walkers.resolve import resolve
+from gaitsweep.tasks.walkers.resolve import from_catalogue, resolve
 from gaitsweep.tasks.walkers.walker import WalkerError
 from lines import _atlas, branches
 
@@ -119,18 +119,30 @@ def test_beyond_its_limits_a_curve_has_the_walker_there_and_constants_continued_
     np.testing.assert_allclose(beyond - at, at - before, rtol=1e-12)
 
 
-def test_flips_agree_with_those_located_line_by_line():
-    found = curve(
-        {
-            "line": LINE,
-            "slope": np.array([0.01, 0.2]),
-            "key": "detuning",
-            "from": -0.02,
-            "to": 0.22,
-            "kinds": ["flip"],
-        },
-        [_atlas("C", ())],
-    )
+@pytest.fixture(scope="module")
+def flips_of_c():
+    """The flips of walkers near C, over the detuning."""
+    asked = {"line": LINE, "slope": np.array([0.01, 0.2]), "key": "detuning"}
+    asked |= {"from": -0.02, "to": 0.22, "kinds": ["flip"]}
+    return curve(asked, [_atlas("C", ())])
+
+
+def test_the_walkers_of_a_curve_mix_the_keys_of_both_ends_of_detuning(flips_of_c):
+    tuned, physical = from_catalogue("C"), from_catalogue("physical")
+    values = flips_of_c["curve_walkers/value"]
+    for key in ("w_t", "c_t", "r_s", "m_t"):
+        begin, end = getattr(tuned, key), getattr(physical, key)
+        mixed = begin + values * (end - begin)
+        found = flips_of_c[f"curve_walkers/{key}"]
+        np.testing.assert_allclose(found, mixed, rtol=1e-12)
+
+    # Every point has its walker, once.
+    points = {*flips_of_c["curves/value"], *flips_of_c["turnings/value"]}
+    assert values.tolist() == sorted(points)
+
+
+def test_flips_agree_with_those_located_line_by_line(flips_of_c):
+    found = flips_of_c
     near = np.argsort(np.abs(found["curves/value"] - 0.2))[:5]
     fit = np.polyfit(found["curves/value"][near] - 0.2, found["curves/slope"][near], 4)
     # Brent's method on the branch at detuning 0.2 (test function of the line alone).

@@ -58,10 +58,10 @@ def test_the_slowest_gaits_are_those_of_points_3_and_4():
         "reproduced",
         pytest.approx(gait_of_point_3()["speed"], rel=1e-10),
     )
-    assert "at point 3, slope 0.02154161, " in found.computed
+    assert "at point 3, slope 0.02154161 rad, " in found.computed
     # The slope of vanishing steps as computed independently.
-    assert "vanishes at point 4, slope 0.02110135, " in found.computed
-    assert "at slope 0.02110135; point 3" in CLAIMS["P6"].find(PAPER).computed
+    assert "vanishes at point 4, slope 0.02110135 rad, " in found.computed
+    assert "at slope 0.02110135 rad; point 3" in CLAIMS["P6"].find(PAPER).computed
 
 
 def test_the_kneed_walker_is_stable_between_the_located_points_and_nowhere_else():
@@ -90,10 +90,12 @@ def test_the_kneed_walker_is_stable_between_the_located_points_and_nowhere_else(
     ]
     said = CLAIMS["P2"].find(PAPER).computed
     assert (
-        "kneed: stable from the fold at slope 0.01912288 to the fold at 0.05303711 and "
+        "kneed: stable from the fold at slope 0.01912288 rad to the fold at 0.05303711 rad and "
         in said
     )
-    assert said.endswith(" from the fold at slope 0.1637225 to the flip at 0.1987945")
+    assert said.endswith(
+        " from the fold at slope 0.1637225 rad to the flip at 0.1987945 rad"
+    )
 
 
 def test_a_change_of_stability_between_special_points_is_noticed(monkeypatch):
@@ -107,11 +109,11 @@ def test_a_change_of_stability_between_special_points_is_noticed(monkeypatch):
 def test_the_short_step_ends_at_small_detuning_where_the_foot_meets_the_ground_at_kneestrike():
     """Not as heelstrike becomes tangential: that is how long steps end."""
     gaits = PAPER.line("C", detuning=0.05)
-    assert "slope of the end, by detuning: 0.05 0.00245, 0.2 0.0088, " in (
+    assert "slope of the end (rad), by detuning: 0.05: 0.00245, 0.2: 0.0088, " in (
         said := CLAIMS["T5"].find(PAPER).computed
     )
     assert (
-        "; its stance angle: 0.05 0.01615, " in said
+        "; its stance angle (rad): 0.05: 0.01615, " in said
         and said.count("at kneestrike, at 95.7") == 1
     )
     (end,) = gaits.special_of("end_earlier_strike")

@@ -27,7 +27,6 @@ from gaitsweep.pipeline.report.source import Line, Source, rows_at
 from gaitsweep.pipeline.report.words import (
     plain,
     shorten,
-    spaced,
     symbol,
     with_unit,
 )
@@ -35,11 +34,8 @@ from gaitsweep.pipeline.report.words import (
 #: An exponent is positive if it exceeds so many of its standard errors.
 _ERRORS = 3
 
-#: What a dot tells: it is one step of an attractor, from which the motion goes on.
-_TIPS = {
-    "stance_angle": "θ* of one step (rad)",
-    "period": "period",
-}
+#: What is told of orbits at a slope, by column.
+_TOLD = {"exponent": "exponent (per step)", "lifetime": "lifetime (steps)"}
 
 
 def bifurcation(source: Source, table: pd.DataFrame) -> Sketch | None:
@@ -109,7 +105,11 @@ def _draw_orbits(
         thin(rows, 400),
         line.label or "orbit",
         command=line.command,
-        tips={source.along: _title(source), **_TIPS},
+        tips={
+            source.along: _title(source),
+            "stance_angle": "θ* of one step (rad)",
+            "period": source.period_title(line.at),
+        },
         x=source.along,
         along=source.along,
         free=True,
@@ -209,14 +209,15 @@ def _draw_column(
 ) -> None:
     """Draw a column of each line's table against what orbits lie along."""
     along, lines = source.along, source.lines_of(frame)
-    tips = {along: _title(source), column: spaced(column)}
+    tips = {along: _title(source), column: _TOLD[column]}
     for line, name, ink in zip(lines, names, colours, strict=True):
         seen = thin(line.rows[np.isfinite(line.rows[column])], 400)
         axes.plot(seen[along], seen[column], ".", color=ink, ms=2.5)
         how = {"tips": tips, "x": along, "y": column, "along": along}
         sketch.mark(axes, seen, name, **how)
         kept = [c for c in (along, column, "standard_error") if c in line.rows]
-        sketch.pieces.append(line.rows[kept].assign(line=line.label))
+        # Without its walker a line that is alone has no name.
+        sketch.pieces.append(line.rows[kept].assign(line=name))
 
 
 class Chaos(NamedTuple):

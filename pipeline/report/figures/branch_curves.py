@@ -254,7 +254,9 @@ def _mark_gaits(sketch: Sketch, axes: Axes, source: Source, line: Line) -> None:
         rows,
         line.label or "branch",
         command=line.command,
-        tips=_tips(source) | TIPS | {"stable": "stable"},
+        tips=_tips(source)
+        | TIPS
+        | {"period": source.period_title(line.at), "stable": "stable"},
         x=source.along,
         along=source.along,
     )

@@ -6,9 +6,9 @@ from collections.abc import Hashable
 from typing import Any
 
 import pandas as pd
-from matplotlib.axes import Axes
 
 from gaitsweep.pipeline.report.figures.sketch import Sketch
+from gaitsweep.pipeline.report.figures.starts import points_of_curves, with_slope
 from gaitsweep.pipeline.report.figures.style import (
     INK,
     PAPER,
@@ -40,16 +40,15 @@ def curves(source: Source, table: pd.DataFrame) -> Sketch:
     with their turning points, or over two keys.
     """
     sketch = Sketch("curves", 330)
-    (axes,) = sketch.panels
     table = table if "kind" in table else table.assign(kind="curve")
     kinds = {str(kind): colour(k) for k, kind in enumerate(table["kind"].unique())}
+    key = str(table["key"].iloc[0])
+    unit = print_units(table.attrs.get("units", {}).get("value", ""))
+    touches = _mark_touches(sketch, source, key)
     for line in source.lines_of(table):
         for number, curve in line.rows.groupby("curve", sort=False):
             _draw_curve(sketch, source, line, number, curve, kinds)
 
-    key = str(table["key"].iloc[0])
-    unit = print_units(table.attrs.get("units", {}).get("value", ""))
-    touches = _mark_touches(source, axes, key)
     meetings = _mark_meetings(sketch, source, key)
     words = " and ".join(map(_several, kinds))
     _legend(sketch, kinds)
@@ -118,23 +117,35 @@ def _draw_curve(
     keys = {key: "value"}
     if x == "other_value":
         keys[str(curve["other_key"].iloc[0])] = x
-    others = {name: value for name, value in line.at.items() if name not in keys}
-    commands = _commands(source.command(others), curve, keys)
-    rows = curve.assign(command=commands)
-    tips = {"slope": "γ (rad)", **{of: name for name, of in keys.items()}}
-    if "criticality" in curve and (curve["criticality"] != "").any():
-        tips["criticality"] = "normal form"
     label = _labelled(line, f"{spaced(kind)}, curve {number}")
-    sketch.mark(axes, rows, label, tips=tips, x=x, y="value")
+    _mark(sketch, source, curve, label, keys, x)
 
 
-def _commands(base: str, curve: pd.DataFrame, keys: dict[str, str]) -> list[str]:
-    """The command that solves each point of a curve, whose keys are in some columns."""
-    commands = []
-    for row in curve.to_dict("records"):
-        sets = "".join(f" --set {name}={row[of]!r}" for name, of in keys.items())
-        commands.append(f"{base}{sets} --slope {row['slope']!r}")
-    return commands
+def _mark(
+    sketch: Sketch,
+    source: Source,
+    points: pd.DataFrame,
+    label: str,
+    keys: dict[str, str],
+    x: str,
+    **more: Any,
+) -> None:
+    """Mark points of curves over keys, which are in some columns; each tells its values
+    and the command that solves it.
+    """
+    (axes,) = sketch.panels
+    commands = [
+        with_slope(source.command(at), row["slope"])
+        for at, row in points_of_curves(source, points)
+    ]
+    tips = {"slope": "γ (rad)", **{of: name for name, of in keys.items()}}
+    if "criticality" in points and (points["criticality"] != "").any():
+        tips["criticality"] = "normal form"
+
+    rows = points.assign(command=commands)
+    at = source.line_of(points)
+    base = source.command({name: at[name] for name in at if name not in keys})
+    sketch.mark(axes, rows, label, command=base, tips=tips, x=x, y="value", **more)
 
 
 def _several(kind: str) -> str:
@@ -144,10 +155,11 @@ def _several(kind: str) -> str:
     return f"{spaced(kind)} points" if kind == "neimark_sacker" else f"{spaced(kind)}s"
 
 
-def _mark_touches(source: Source, axes: Axes, key: str) -> list[str]:
+def _mark_touches(sketch: Sketch, source: Source, key: str) -> list[str]:
     """Mark where branches touch: where a curve of folds turns back in its key; these
     places in words.
     """
+    (axes,) = sketch.panels
     turns = source.table("turnings", "slope", "value", "turn")
     if turns is None:
         return []
@@ -157,14 +169,18 @@ def _mark_touches(source: Source, axes: Axes, key: str) -> list[str]:
         turns["kind"].astype(str) if "kind" in turns else pd.Series("fold", turns.index)
     )
     touches = []
-    for row in turns[(turns["turn"] == "key") & (kinds == "fold")].itertuples():
+    folds = turns[(turns["turn"] == "key") & (kinds == "fold")]
+    if len(folds):
+        keys = {key: "value"}
+        _mark(sketch, source, folds, "branches touch", keys, "slope", above=True)
+    for row in folds.itertuples():
         axes.plot([row.slope], [row.value], "o", color=INK, mfc=PAPER, ms=7, zorder=5)
         words = (
             f"branches touch: {key} {plain(row.value, 6)}, γ = {plain(row.slope, 6)}"
         )
         write_at(axes, words, (row.slope, row.value), (0, -16), ha="center")
         touches.append(
-            f"{key} {plain(row.value, 9)} and slope {plain(row.slope, 9)} rad"
+            f"{key} {plain(row.value, 7)} and slope {plain(row.slope, 7)} rad"
         )
 
     return touches
@@ -203,13 +219,10 @@ def _mark_points(
     that solves it.
     """
     (axes,) = sketch.panels
-    others = {name: value for name, value in line.at.items() if name not in keys}
-    commands = _commands(source.command(others), line.rows, keys)
-    tips = {"slope": "γ (rad)", **{of: name for name, of in keys.items()}}
-    for point, rows in line.rows.assign(command=commands).groupby("point"):
+    for point, rows in line.rows.groupby("point"):
         axes.plot(rows[x], rows["value"], "D", color=INK, ms=5, zorder=6)
         label = _labelled(line, spaced(str(point)))
-        sketch.mark(axes, rows, label, tips=tips, x=x, y="value")
+        _mark(sketch, source, rows, label, keys, x, above=True)
 
 
 def _labelled(line: Line, name: str) -> str:

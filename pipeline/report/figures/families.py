@@ -258,7 +258,8 @@ def _draw_lines(
     most = max(60, shown.samples // max(1, len(drawn.lines)))
     for k, own in enumerate(drawn.lines):
         data = tolerances.with_half_widths(source, own.data, own.at, shown.measures)
-        line, tips = replace(own, data=data), _tips(shown, data)
+        line = replace(own, data=data)
+        tips = _tips(source, line, shown)
         how = _Drawn(line, k, drawn.names[k], drawn.inks[k], tips, shown)
         curves = [
             _with_value(curve, shown, most)
@@ -272,13 +273,14 @@ def _draw_lines(
             _draw_curve(sketch, axes, curve, gait, how)
 
 
-def _tips(shown: Quantity, data: xr.Dataset) -> dict[str, str]:
+def _tips(source: Source, line: Line, shown: Quantity) -> dict[str, str]:
     """What points of a line tell under the pointer, by the columns that hold it."""
     known = TIPS | {"spectral_radius": "max |λ|"}
+    known |= {"period": source.period_title(line.at)}
     columns = ("slope", shown.abscissa, *shown.reads, *shown.shows)
     tips = {column: known.get(column, spaced(column)) for column in columns}
     for name in shown.measures:
-        if tolerances.half_width(name) in data:
+        if tolerances.half_width(name) in line.data:
             tips[tolerances.half_width(name)] = f"± {known.get(name, spaced(name))}"
     return tips
 

@@ -151,6 +151,7 @@ def _mark_optima(
     (axes,) = sketch.panels
     x, y = place
     tips = {name: _symbol(name) for name in (*asked.free, asked.objective)} | TIPS
+    tips |= {"period": source.period_title(line.at)}
     label = ", ".join(filter(None, (line.label, "optimum")))
     for number in range(len(line.rows)):
         rows = line.rows.iloc[[number]]

@@ -81,7 +81,8 @@ def _draw_line(
     _draw_found(top, rows, ink, marker)
 
     driven = {} if along in TIPS else {along: source.words_along["x"]}
-    tips = driven | TIPS | {"hits": "hits"}
+    period = source.period_title(line.at)
+    tips = driven | TIPS | {"period": period, "hits": "hits"}
     how = {"tips": tips, "x": "place", "along": along}
     name = line.label or source.walker
     sketch.mark(top, rows, name, command=line.command, **how)

@@ -2,7 +2,7 @@
 branches and single gaits.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
@@ -17,7 +17,7 @@ from gaitsweep.pipeline.report.figures.style import (
     inks,
     spread_evenly,
 )
-from gaitsweep.pipeline.report.source import RATES, Line, Source
+from gaitsweep.pipeline.report.source import RATES, Line, Source, rows_at
 from gaitsweep.pipeline.report.words import axis_values, symbol
 
 #: A gait's start just after heelstrike, as columns of tables and variables of grids.
@@ -29,6 +29,11 @@ _MAX_GAITS, _MAX_LINES = 700, 40
 
 #: Characters of the numbers of all maps of a figure.
 _ROOM = 270_000
+
+#: Tables of points of curves over keys, and their columns of the keys that vary and of
+#: their values.
+_OF_CURVES = ("curves", "turnings", "meetings")
+_KEYS = (("key", "value"), ("other_key", "other_value"))
 
 #: Tables with rows that start a step.
 _TABLES = ("branches", "orbits", "basin", "census", "cascade")
@@ -115,9 +120,9 @@ def addresses(source: Source, table: pd.DataFrame) -> list[str]:
     return found
 
 
-def lines(source: Source) -> list[dict[str, Any]]:
+def lines(source: Source, shown: Collection[str] = ()) -> list[dict[str, Any]]:
     """Lines whose gaits a page can start: name, values of the axes, walker, command and
-    branches.
+    branches. `shown` are the commands of the points of curves that a page shows.
 
     A branch is a list of starts [slope, angle, rates of stance leg, thigh[, shank]] in
     the walker's units, in its order through folds. Lines of tables of initial
@@ -151,7 +156,69 @@ def lines(source: Source) -> list[dict[str, Any]]:
                 }
             )
 
-    return [*found, *_optimal_lines(source)]
+    return [*found, *_optimal_lines(source), *_lines_of_curves(source, shown)]
+
+
+def _lines_of_curves(
+    source: Source, shown: Collection[str]
+) -> Iterator[dict[str, Any]]:
+    """Yield the walkers at points of curves over keys, each a line without branches
+    whose gaits are those of its marks.
+    """
+    walkers = source.table("curve_walkers", "value")
+    if walkers is None:
+        return
+
+    seen = set()
+    for name in _OF_CURVES:
+        table = source.table(name, *START[:4], "key", "value")
+        for at, row in [] if table is None else points_of_curves(source, table):
+            command = source.command(at)
+            if command in seen or with_slope(command, row["slope"]) not in shown:
+                continue
+
+            seen.add(command)
+            if keys := _parameters_there(source, walkers, at, row):
+                yield {
+                    "name": axis_values(at),
+                    "at": at,
+                    "keys": keys,
+                    "command": command,
+                    "ink": VARIABLES[WALKERS.get(str(at["walker"]), LINE)],
+                    "called": "",
+                    "first": "",
+                    "branches": [],
+                }
+
+
+def _parameters_there(
+    source: Source, walkers: pd.DataFrame, at: dict[str, Any], row: dict[str, Any]
+) -> dict[str, Any]:
+    """Parameters of the walker at a point of a curve; empty if the archive lacks them."""
+    # An axis may be called as a key that varies, whose value it has not.
+    varying = {row.get(key) for key, _ in _KEYS}
+    place = {name: value for name, value in row.items() if name not in varying}
+    aside = ["walker", *(value for _, value in _KEYS)]
+    own = rows_at(walkers, place).drop(columns=aside, errors="ignore")
+    return {} if own.empty else parameters(source, own.iloc[0].to_dict() | at)
+
+
+def points_of_curves(
+    source: Source, table: pd.DataFrame
+) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Yield the line of each point of curves, at its values of the keys that vary, and
+    the row of the point.
+    """
+    for place, row in enumerate(table.to_dict("records")):
+        keys = {str(row[key]): row[value] for key, value in _KEYS if value in row}
+        at = source.line_of(table.iloc[[place]])
+        at = {name: value for name, value in at.items() if name != "slope"}
+        yield at | keys, {str(name): value for name, value in row.items()}
+
+
+def with_slope(command: str, slope: float) -> str:
+    """The command of a line at a slope."""
+    return f"{command} --slope {slope!r}"
 
 
 def _optimal_lines(source: Source) -> list[dict[str, Any]]:

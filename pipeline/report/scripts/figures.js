@@ -103,16 +103,18 @@ for (const plot of nodesOf(".plot")) {
 
   const isIn = (box, [x, y]) => x >= box[0] && x <= box[2] && y >= box[1] && y <= box[3];
   // What a point of a curve, or a cell of a map, makes walk: the very gait that the tip names.
-  const lineOf = curve => LINES.find(line => line.command === curve.command);
+  // Points that have commands of their own are each of another line.
+  const isAsked = (row, line) => `${row}`.includes(`,${line?.command} --slope`);
+  const lineOf = (curve, row) => LINES.find(line => line.command === curve.command || isAsked(row, line));
   function wishOf({ map, cell, curve, row }) {
     if (map?.free) {
       const start = [map.x.values[cell[0]], map.y.values[cell[1]]];
       return map.at && { at: map.at, given: map, slope: map.slope, start: [...start, map.ratio === undefined ? NaN : start[1] * map.ratio], before: true, free: true };
     }
     if (map) return map.fields.stance_angle ? { map, cell } : null;
-    const line = lineOf(curve), value = curve.rows[row][2], start = curve.starts?.[row], { slope, ...at } = line?.at ?? {};
+    const one = curve.rows[row], line = lineOf(curve, one), value = Number(`${one[2]}`.split(" ").pop()), start = curve.starts?.[row], { slope, ...at } = line?.at ?? {};
     if (line?.along) at[line.along] = value;
-    return line && start?.length && typeof value === "number" ? { at, slope: slope ?? value, start, free: curve.free } : null;
+    return line && start?.length && value === value ? { at, slope: slope ?? value, start, free: curve.free } : null;
   }
   function placeIn(side, share) {
     const apart = v => abs(shareOf(side, v) - share);
@@ -137,6 +139,7 @@ for (const plot of nodesOf(".plot")) {
       const point = putOn(found, [gait.start[0], rateBefore(gait) / gait.walker.time]), { box } = found;
       if (isIn(box, point)) return point;
     }
+    for (const { rows } of series) for (const row of rows) if (isAsked(row, gait.line)) return row;
     const angles = curve => curve.starts?.map(start => start[0]);
     const { over, along } = gait.line ?? {}, value = over ? gait.at[along] : gait.slope;
     const isOf = curve => angles(curve) && (curve.command === (over ?? gait.line?.command) || lineOf(curve) && sameLine(lineOf(curve).at, gait.at));
