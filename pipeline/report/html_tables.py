@@ -423,19 +423,9 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
     if "status" not in source.outcomes:
         return None
 
-    status, slopes = source.outcomes["status"], np.array([])
-    if "slope" in status.indexes:
-        slopes = status["slope"].values[
-            (status == 0).any([d for d in status.dims if d != "slope"]).values
-        ]
-
-    of_converged = itertools.islice(_of_converged(source), _MAX_REASONS)
-    rows = [
-        [Cell("converged"), Cell(said), cell(n, True), *_range(slopes)]
-        for said, n in of_converged
-        if n
-    ]
+    of_converged = _rows_of_converged(source)
     groups = absent.groupby(["status", "reason"], sort=False, observed=True)
+    rows = of_converged[:_MAX_REASONS]
     for (status, reason), group in itertools.islice(groups, _MAX_REASONS):
         over = _range(group["slope"].to_numpy() if "slope" in group else np.array([]))
         rows.append([Cell(spaced(status)), Cell(reason), cell(len(group), True), *over])
@@ -445,15 +435,27 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
         if source.whole == "point"
         else ("Outcomes by line", "lines")
     )
-    note = (
-        f"{groups.ngroups - _MAX_REASONS} more reasons are in the archive."
-        if groups.ngroups > _MAX_REASONS
-        else ""
-    )
+    left = len(of_converged) + groups.ngroups - len(rows)
+    note = f"{left} more reasons are in the archive." if left else ""
 
     return Table(
         caption, ["status", "reason", what, "from γ (rad)", "to γ (rad)"], rows, note
     )
+
+
+def _rows_of_converged(source: Source) -> list[list[Cell]]:
+    """Rows of the outcomes for converged gaits or lines, by what they lack."""
+    status, slopes = source.outcomes["status"], np.array([])
+    if "slope" in status.indexes:
+        slopes = status["slope"].values[
+            (status == 0).any([d for d in status.dims if d != "slope"]).values
+        ]
+
+    return [
+        [Cell("converged"), Cell(said), cell(n, True), *_range(slopes)]
+        for said, n in _of_converged(source)
+        if n
+    ]
 
 
 def _range(slopes: np.ndarray) -> list[Cell]:

@@ -50,7 +50,8 @@ def solve(
     Returns
     -------
     dict
-        `gaits`, `units`, and `search`, which describes the search.
+        `gaits`, `units`, `search`, which describes the search, and `absent`, why there
+        are none.
 
     Raises
     ------

@@ -100,10 +100,11 @@ def check_is_asked(vary: str, between: Any) -> None:
     StudyError
         If something is.
     """
-    for name, value, default in (("vary", vary, "slope"), ("between", between, None)):
-        if value != default:
-            place = Location("", name)
-            raise place.wrong("needs `at`, a measure with its value", value)
+    needs = "needs `at`, a measure with its value"
+    if vary != "slope":
+        raise Location("", "vary").wrong(needs, vary)
+    if between is not None:
+        raise Location("", "between").wrong(needs, between)
 
 
 def varied(vary: str, between: Any) -> dict[str, Any]:

@@ -81,7 +81,7 @@ TASKS = {
         Task(
             "branch",
             "gaitsweep.tasks.studies.follow_branches:branch",
-            27,
+            28,
             needs=("atlas",),
         ),
         Task(

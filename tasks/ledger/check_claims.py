@@ -114,9 +114,7 @@ def _check(claim: Claim, paper: Paper) -> ClaimResult:
 
 
 def _interval(low: float, high: float) -> str:
-    """An interval in words, in as many digits as its width has three of; empty if there
-    is none.
-    """
+    """An interval in words, with three digits of its width; empty if there is none."""
     if not low <= high:
         return ""
     size = max(abs(low), abs(high)) or 1.0

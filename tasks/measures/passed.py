@@ -355,6 +355,10 @@ class Sampled:
         """Numbers of the values that lie between a sample and the next, and those
         samples.
         """
+        if not len(self.values):
+            none = np.empty(0, int)
+            return none, none
+
         off = self.values - wanted[:, None]
         side = np.sign(off)
 

@@ -394,5 +394,5 @@ class CompiledFunction:
 
 
 def integrating_seconds() -> float:
-    """Processor time that this process has spent in compiled flows and functions [s]."""
+    """Time that this process has spent in compiled flows and functions [s]."""
     return sum(flow.seconds for flow in FLOWS.values()) + CompiledFunction.seconds

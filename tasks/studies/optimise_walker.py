@@ -351,7 +351,7 @@ class _Search:
             return sentence
 
         reached = self.programme.reached(asked, candidates)
-        known = f"{ranges(reached)} at the walkers of the starts"
+        known = f"{ranges(reached) or 'nowhere known'} at the walkers of the starts"
         unit = self.question.unit_of(asked.name)
         return f"{sentence} `{asked.name}` must be {asked.bound}{unit}: it is {known}."
 

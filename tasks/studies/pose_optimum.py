@@ -5,7 +5,7 @@ which its iterations may begin.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.equations import Equations, Keys
 from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.contract.registry import VARIABLES, VIOLATIONS
+from gaitsweep.tasks.gaits.step_check import LONG_BELOW
 from gaitsweep.tasks.measures.levels import Measures, level
 from gaitsweep.tasks.measures.names import measures
 from gaitsweep.tasks.measures.onsets import limited_amounts, over_size
@@ -38,7 +39,7 @@ from gaitsweep.tasks.walkers.walker_array import WalkerArray
 SLOPE = "slope"
 #: Share of its range at which a key has no special value.
 _ORDINARY = 0.4871
-_RADIUS = "spectral_radius"
+_RADIUS, _RATIO = "spectral_radius", "heelstrike_rate_ratio"
 #: What is told of every optimum beside its objective and what limits it.
 _TOLD = (
     *("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period"),
@@ -173,7 +174,8 @@ class Question:
         if constraint in STABLE:
             return Constraint(_RADIUS, level(_RADIUS, 1.0).value, 1.0, -1)
         if constraint.name == "label":
-            return replace(constraint, name="heelstrike_rate_ratio")
+            ratio = level(_RATIO, LONG_BELOW)
+            return Constraint(_RATIO, ratio.value, LONG_BELOW, constraint.side)
         return constraint if constraint.name in VARIABLES else None
 
     def unit_of(self, name: str) -> str:

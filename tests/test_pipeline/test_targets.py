@@ -254,6 +254,10 @@ def test_keys_of_gaits_of_two_steps_are_those_of_single_solves(tmp_path):
             {"between": (0.1, 0.2)},
             "`between` needs `at`, a measure with its value; got (0.1, 0.2).",
         ),
+        (
+            {"between": np.array([0.1, 0.2])},
+            "`between` needs `at`, a measure with its value; got array([0.1, 0.2]).",
+        ),
     ],
 )
 def test_what_varies_for_no_measure_is_refused(ask, given, sentence):

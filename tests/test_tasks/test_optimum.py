@@ -11,8 +11,10 @@ import pytest
 
 import gaitsweep
 from gaitsweep.tasks.branches.equations import Equations
+from gaitsweep.tasks.branches.joint import evaluate
 from gaitsweep.tasks.branches.special_points import special_points
 from gaitsweep.tasks.contract import registry
+from gaitsweep.tasks.gaits.step_check import gait_ratio
 from gaitsweep.tasks.measures.programme import STABLE
 from gaitsweep.tasks.studies.map_designs import design
 from gaitsweep.tasks.studies.optimise_walker import optimum
@@ -478,6 +480,29 @@ def test_where_no_gait_is_stable_the_reason_is_told():
     assert reason.startswith("No stable gait within the ranges and limits was found")
     assert "`spectral_radius` must be at most 1: it is " in reason
     assert "optimum" not in found or not len(found["optimum"])
+
+
+@pytest.mark.parametrize(
+    ("label", "bound"), [("long", "at most"), ("short", "at least")]
+)
+def test_a_label_that_is_missed_is_told_by_its_measure(label, bound):
+    options = registry.options(
+        "optimum", {"minimise": "slope", "free": {"R": [0.1, 0.3]}}
+    )
+    box = Box({"walker": "A", "set": {}}, options["free"])
+    question = Question(box, np.array(WINDOW), options, (label,))
+    programme = question.programme({})
+    (missed,) = [each for each in programme.constraints if each.name == "label"]
+
+    asked = question.asked_by(missed)
+
+    assert asked.name == "heelstrike_rate_ratio"
+    assert asked.bound == f"{bound} 0.5"
+    # Of a gait, that measure and not how far it is from the limit.
+    problem, (branch, *_) = branches("A")
+    gait = evaluate(problem, branch.Z[:, [len(branch.q) // 2]])
+    (ratio,) = asked.scalar(gait)
+    assert ratio == pytest.approx(gait_ratio(gait.stride)[0], rel=1e-12)
 
 
 def test_constraints_that_contradict_each_other_are_named():

@@ -134,3 +134,15 @@ def test_values_on_either_side_of_a_gap_without_any_are_no_passing():
     passed = Sampled.of(curve, Condition("level", jumping)).passes_target()
 
     assert not passed.X.size
+
+
+def test_a_curve_without_any_value_passes_none():
+    problem, (branch, *_) = branches("D")
+
+    def nowhere(there):
+        return np.full(len(there.q), np.nan)
+
+    curve = Curve.of_branch(problem, branch)
+    passed = Sampled.of(curve, Condition("level", nowhere)).passes_target()
+
+    assert not passed.X.size

@@ -103,18 +103,19 @@ for (const plot of nodesOf(".plot")) {
 
   const isIn = (box, [x, y]) => x >= box[0] && x <= box[2] && y >= box[1] && y <= box[3];
   // What a point of a curve, or a cell of a map, makes walk: the very gait that the tip names.
-  // Points that have commands of their own are each of another line.
-  const isAsked = (row, line) => `${row}`.includes(`,${line?.command} --slope`);
-  const lineOf = (curve, row) => LINES.find(line => line.command === curve.command || isAsked(row, line));
+  // Points that have commands of their own, which end in a slope, are each of another line.
+  const isOfLine = (row, line) => `${row}`.includes(`,${line?.command} --slope`);
+  const slopeOf = row => Number(`${row[2]}`.split(" ").pop());
+  const lineOf = (curve, row) => LINES.find(line => line.command === curve.command || isOfLine(row, line));
   function wishOf({ map, cell, curve, row }) {
     if (map?.free) {
       const start = [map.x.values[cell[0]], map.y.values[cell[1]]];
       return map.at && { at: map.at, given: map, slope: map.slope, start: [...start, map.ratio === undefined ? NaN : start[1] * map.ratio], before: true, free: true };
     }
     if (map) return map.fields.stance_angle ? { map, cell } : null;
-    const one = curve.rows[row], line = lineOf(curve, one), value = Number(`${one[2]}`.split(" ").pop()), start = curve.starts?.[row], { slope, ...at } = line?.at ?? {};
+    const one = curve.rows[row], line = lineOf(curve, one), value = slopeOf(one), start = curve.starts?.[row], { slope, ...at } = line?.at ?? {};
     if (line?.along) at[line.along] = value;
-    return line && start?.length && value === value ? { at, slope: slope ?? value, start, free: curve.free } : null;
+    return line && start?.length && isFinite(value) ? { at, slope: slope ?? value, start, free: curve.free } : null;
   }
   function placeIn(side, share) {
     const apart = v => abs(shareOf(side, v) - share);
@@ -139,7 +140,7 @@ for (const plot of nodesOf(".plot")) {
       const point = putOn(found, [gait.start[0], rateBefore(gait) / gait.walker.time]), { box } = found;
       if (isIn(box, point)) return point;
     }
-    for (const { rows } of series) for (const row of rows) if (isAsked(row, gait.line)) return row;
+    for (const { rows } of series) for (const row of rows) if (isOfLine(row, gait.line) && abs(slopeOf(row) - gait.slope) < 1e-9) return row;
     const angles = curve => curve.starts?.map(start => start[0]);
     const { over, along } = gait.line ?? {}, value = over ? gait.at[along] : gait.slope;
     const isOf = curve => angles(curve) && (curve.command === (over ?? gait.line?.command) || lineOf(curve) && sameLine(lineOf(curve).at, gait.at));
@@ -166,10 +167,10 @@ for (const plot of nodesOf(".plot")) {
     const point = chosen && locate(chosen);
     if (point) put(ring, point); else ring.hidden = true;
   }
-  document.addEventListener("gait", ({ detail }) => { chosen = detail; mark(); });
-  addEventListener("resize", () => { mark(); label(); if (at && !tip.hidden) show(at); });
+  on(document, "gait", ({ detail }) => { chosen = detail; mark(); });
+  on(window, "resize", () => { mark(); label(); if (at && !tip.hidden) show(at); });
   // What was chosen stays in sight above the panel.
-  document.addEventListener("docked", ({ detail }) => {
+  on(document, "docked", ({ detail }) => {
     const hidden = plot.contains(document.activeElement) && !ring.hidden ? ring.getBoundingClientRect().bottom + 24 - detail : 0;
     if (hidden > 0) scrollBy({ top: hidden });
   });
@@ -223,7 +224,7 @@ for (const plot of nodesOf(".plot")) {
       button.onclick = act;
     }
   }
-  svg.addEventListener("wheel", event => {
+  on(svg, "wheel", event => {
     if (!event.ctrlKey && view.w === width) return;
     event.preventDefault();
     look(view.w * Math.exp(event.deltaY * (event.ctrlKey ? 0.01 : 0.002)), pointer(event));
@@ -232,7 +233,7 @@ for (const plot of nodesOf(".plot")) {
   let moved = false, wanted = null, tap = null;
   box.hidden = true;
   svg.onpointerdown = event => { fingers.set(event.pointerId, tap = event); moved = false; };
-  addEventListener("pointermove", event => {
+  on(window, "pointermove", event => {
     const last = fingers.get(event.pointerId);
     if (!last) return;
     const [dx, dy] = [event.clientX - last.clientX, event.clientY - last.clientY], rest = [...fingers.values()].filter(one => one.pointerId !== event.pointerId);
@@ -257,7 +258,7 @@ for (const plot of nodesOf(".plot")) {
     moved = true;
     fingers.set(event.pointerId, event);
   });
-  for (const end of ["pointerup", "pointercancel"]) addEventListener(end, event => {
+  for (const end of ["pointerup", "pointercancel"]) on(window, end, event => {
     fingers.delete(event.pointerId);
     if (wanted?.w > 4) { Object.assign(view, wanted); look(wanted.w); }
     wanted = null;

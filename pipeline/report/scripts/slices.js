@@ -84,7 +84,7 @@ for (const box of nodesOf(".slices")) {
     if (high >= low) [low, (low + high) / 2, high].forEach((value, k) => write(svg, 421, 246 - 112 * k, brief(value, 3)));
     point(cells[at] ? at : scales.map(v => v.length >> 1));
   }
-  for (const event of ["pointermove", "click"]) svg.addEventListener(event, ({ target }) => {
+  for (const event of ["pointermove", "click"]) on(svg, event, ({ target }) => {
     if (!target.place) return;
     point(target.place);
     if (event === "click") walk();

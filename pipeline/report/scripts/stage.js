@@ -7,6 +7,7 @@ const isBrowsers = event => event.ctrlKey || event.metaKey || event.altKey;
 /** Rows down and columns to the right that a key moves by. */
 const ARROWS = { ArrowRight: [0, 1], ArrowLeft: [0, -1], ArrowDown: [1, 0], ArrowUp: [-1, 0] };
 const nodesOf = selector => document.querySelectorAll(selector);
+const on = (target, event, act) => target.addEventListener(event, act);
 function set(node, attributes) {
   for (const name in attributes) node.setAttribute(name, attributes[name]);
 }

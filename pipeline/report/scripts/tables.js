@@ -45,7 +45,7 @@ for (const row of nodesOf("tr[data-gait]")) {
   button.ariaLabel = `Show the gait at slope ${wish.slope} walking`;
   row.cells[0].prepend(button, " ");
   row.onclick = event => { if (event.target === button || !event.target.closest("a, button")) select(wish, { dock: true }); };
-  document.addEventListener("gait", ({ detail }) => row.classList.toggle("chosen",
+  on(document, "gait", ({ detail }) => row.classList.toggle("chosen",
     Boolean(detail) && !detail.free && sameLine(detail.at, wish.at) && hypot(rank(detail.slope) - rank(wish.slope), log(detail.start[0] / wish.start[0])) < 1e-3));
 }
 
@@ -83,10 +83,10 @@ function filterBy(form, entries, isWanted, tell) {
     tell(count, words, form.querySelector("[role=status]"));
   };
   form.hidden = false;
-  for (const event of ["input", "change"]) form.addEventListener(event, apply);
-  form.addEventListener("submit", event => event.preventDefault());
+  for (const event of ["input", "change"]) on(form, event, apply);
+  on(form, "submit", event => event.preventDefault());
   // On the way back to a page the browser restores the words.
-  addEventListener("pageshow", apply);
+  on(window, "pageshow", apply);
   return apply;
 }
 
@@ -98,7 +98,7 @@ for (const form of nodesOf(".filter:not(.search)")) {
     said.textContent = words.length || verdict.value ? `${count} of ${claims.length} claims` : "";
   });
   // A link leads to a claim whatever the filter.
-  addEventListener("hashchange", () => {
+  on(window, "hashchange", () => {
     const claim = claims.find(one => "#" + one.id === location.hash);
     if (claim?.hidden) { form.reset(); apply(); claim.scrollIntoView(); }
   });
@@ -111,4 +111,4 @@ for (const form of nodesOf(".search")) filterBy(form, nodesOf("#found li"), (_, 
 });
 
 // On paper everything is unfolded but where the archive comes from.
-addEventListener("beforeprint", () => nodesOf("details:not(#provenance)").forEach(details => { details.open = true; }));
+on(window, "beforeprint", () => nodesOf("details:not(#provenance)").forEach(details => { details.open = true; }));

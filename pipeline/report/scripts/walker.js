@@ -289,7 +289,7 @@ if (panel && LINES.length + nodesOf("script.panels").length) {
   const along = by => { if (!find("along").hidden) slideTo((wanted ?? gait.place) + by); };
   const clicks = { play: () => play(!playing), close: () => dock(false), push: () => push(1), pull: () => push(-1), reset: () => show(gait), step: () => skip(1 / 24) };
   for (const name in clicks) button(name).onclick = clicks[name];
-  panel.addEventListener("keydown", event => {
+  on(panel, "keydown", event => {
     if (isBrowsers(event)) return;
     const typed = event.target.matches("input, select"), act = { " ": () => play(!playing), ".": () => skip(1 / 24), ",": () => skip(-1 / 24), ArrowRight: () => along(1), ArrowLeft: () => along(-1),
       p: () => push(1), P: () => push(-1), r: () => show(gait) }[event.key];
@@ -298,16 +298,16 @@ if (panel && LINES.length + nodesOf("script.panels").length) {
     act();
   });
 
-  addEventListener("keydown", event => { if (event.key === "Escape") dock(false); });
+  on(window, "keydown", event => { if (event.key === "Escape") dock(false); });
 
   const followAddress = () => {
     const wish = location.hash.length > 1 && readAddress(location.hash);
     // What is left out of an address, or is rounded there, is solved; the address then has it.
     return wish && { wish, found: select(wish, { dock: panel.closest("section") !== null, write: true }) };
   };
-  addEventListener("hashchange", followAddress);
+  on(window, "hashchange", followAddress);
   // Once the figures and tables below have been made ready, they hear of the first gait.
-  addEventListener("DOMContentLoaded", () => {
+  on(window, "DOMContentLoaded", () => {
     const given = followAddress();
     if (given?.found) return;
     const first = MAPS.some(map => !map.free) && lead || LINES.map(line => readAddress(line.first)).find(Boolean) || lead;
