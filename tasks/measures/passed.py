@@ -35,8 +35,8 @@ _REFINED = 2
 #: What a gait that is located may lack of a value, over what the samples that bracket it
 #: do: it has no value where the scalar jumps.
 _LEFT = 1e-3
-#: What a value of a measure, over its size, or the last unknown differs by from an end of
-#: its range that is rounding.
+#: What a value of a measure, over its size there, or the last unknown differs by from an
+#: end of its range that is rounding.
 _ROUNDING = 1e-10
 #: How far a gait may lie from the samples that bracket it, over their distance.
 _NEAR = 1.5
@@ -355,20 +355,23 @@ class Sampled:
         """Numbers of the values that lie between a sample and the next, and those
         samples.
         """
-        if not len(self.values):
+        if len(self.values) < 2:
             none = np.empty(0, int)
             return none, none
 
+        is_finite = np.isfinite(self.values)
         off = self.values - wanted[:, None]
         side = np.sign(off)
 
-        # An end of the curve has a value that it misses by rounding.
-        ends = [0, -1]
-        within = _ROUNDING * self.size
+        # An end of the curve has a value that it misses by rounding, over the sizes
+        # there: elsewhere the measure may grow without bound.
+        ends, beside = [0, -1], [1, -2]
+        sizes = np.where(is_finite, np.abs(self.values), 0.0)
+        at_ends = np.maximum(sizes[ends], sizes[beside])
+        within = _ROUNDING * np.maximum(at_ends, np.abs(wanted)[:, None])
         is_there = np.abs(off[:, ends]) <= within
         side[:, ends] = np.where(is_there, 0.0, side[:, ends])
 
-        is_finite = np.isfinite(self.values)
         # A sample that has a value ends two brackets, of which one may lead to it.
         is_passed = side[:, 1:] * side[:, :-1] <= 0
         is_passed &= side[:, 1:] != side[:, :-1]

@@ -146,3 +146,18 @@ def test_a_curve_without_any_value_passes_none():
     passed = Sampled.of(curve, Condition("level", nowhere)).passes_target()
 
     assert not passed.X.size
+
+
+def test_an_end_is_compared_with_values_beside_it_and_not_with_the_largest():
+    """A measure that grows without bound somewhere else makes no value its end's."""
+    problem, (branch, *_) = branches("D")
+    node = len(branch.q) // 2
+
+    def growing(there):
+        return np.where(there.q < branch.q[node - 2], -1e15, there.q)
+
+    curve = Curve.of_branch(problem, branch).between(node - 3, node + 3)
+    beyond = float(branch.q[node + 3]) + 1e-3
+    passed = Sampled.of(curve, Condition("level", growing)).passes(np.array([beyond]))
+
+    assert not passed.X.size
