@@ -349,7 +349,24 @@ class Sampled:
         """Whether gaits lie near samples and near those that follow them, shape (n,)."""
         from_before = norm(X - self.X[:, k])
         from_after = norm(X - self.X[:, k + 1])
-        return np.asarray(np.maximum(from_before, from_after) < within)
+        farther = np.maximum(from_before, from_after)
+        return np.asarray(farther < within)
+
+    def _are_at_ends(self, wanted: np.ndarray) -> np.ndarray:
+        """Whether the ends of the curve have values (v,) that they miss by rounding, shape
+        (v, 2).
+        """
+        ends = self.values[[0, -1]]
+        beside = self.values[[1, -2]]
+        off = ends - wanted[:, None]
+
+        # Over the sizes there: elsewhere the measure may grow without bound.
+        sizes = np.abs(np.stack([ends, beside]))
+        sizes[np.isinf(sizes)] = 0.0
+        there = sizes.max(axis=0)
+        size = np.maximum(there, np.abs(wanted)[:, None])
+
+        return np.asarray(np.abs(off) <= _ROUNDING * size)
 
     def _brackets(self, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the values that lie between a sample and the next, and those
@@ -359,23 +376,17 @@ class Sampled:
             none = np.empty(0, int)
             return none, none
 
-        is_finite = np.isfinite(self.values)
-        off = self.values - wanted[:, None]
-        side = np.sign(off)
-
-        # An end of the curve has a value that it misses by rounding, over the sizes
-        # there: elsewhere the measure may grow without bound.
-        ends, beside = [0, -1], [1, -2]
-        sizes = np.where(is_finite, np.abs(self.values), 0.0)
-        at_ends = np.maximum(sizes[ends], sizes[beside])
-        within = _ROUNDING * np.maximum(at_ends, np.abs(wanted)[:, None])
-        is_there = np.abs(off[:, ends]) <= within
-        side[:, ends] = np.where(is_there, 0.0, side[:, ends])
+        side = np.sign(self.values - wanted[:, None])
+        side[:, [0, -1]] *= ~self._are_at_ends(wanted)
 
         # A sample that has a value ends two brackets, of which one may lead to it.
         is_passed = side[:, 1:] * side[:, :-1] <= 0
         is_passed &= side[:, 1:] != side[:, :-1]
-        is_passed &= is_finite[1:] & is_finite[:-1]
+
+        is_finite = np.isfinite(self.values)
+        is_passed &= is_finite[1:]
+        is_passed &= is_finite[:-1]
+
         value, k = np.nonzero(is_passed)
         return value, k
 
