@@ -373,8 +373,8 @@ def _check_keys(programme: Programme, guesses: Sequence[Gait]) -> None:
         columns = np.vstack([at.gradient, at.derivative])[:, -count:]
         changes = np.maximum(changes, np.abs(columns).max(axis=0))
 
-    ranges = zip(keys.names, keys.low, keys.high, changes, strict=True)
-    for key, low, high, change in ranges:
+    each_key = zip(keys.names, keys.low, keys.high, changes, strict=True)
+    for key, low, high, change in each_key:
         if change < _NO_CHANGE:
             why = "is free and changes neither gaits nor what is asked of them"
             raise WalkerError(key, [low, high], why)

@@ -86,7 +86,8 @@ def _address(at: Mapping[str, Any], gait: Any) -> str:
     it has none.
     """
     near = {name: float(f"{gait[name]:.8g}") for name in START[:2]}
-    return urlencode({**at, **near}) if np.isfinite([*near.values()]).all() else ""
+    is_known = np.isfinite([*near.values()]).all()
+    return urlencode({**at, **near}) if is_known else ""
 
 
 def _address_along(source: Source, at: Mapping[str, Any], gait: Any) -> str:
@@ -142,21 +143,29 @@ def lines(source: Source, shown: Collection[str] = ()) -> list[dict[str, Any]]:
     for (line, branches), ink in zip(chosen, colours, strict=True):
         if keys := parameters(source, line.at):
             nodes = [_nodes(branch, total, keys["knees"]) for branch in branches]
-            found.append(
-                {
-                    "name": axis_values(line.at),
-                    "at": line.at,
-                    "keys": keys,
-                    "command": line.command,
-                    "ink": VARIABLES[ink],
-                    "called": line.called,
-                    "first": _first(line.at, branches),
-                    "branches": [own for own in nodes if own],
-                    **along,
-                }
-            )
+            record = _record(line.at, keys, line.command, ink)
+            record["called"] = line.called
+            record["first"] = _first(line.at, branches)
+            record["branches"] = [own for own in nodes if own]
+            found.append(record | along)
 
     return [*found, *_optimal_lines(source), *_lines_of_curves(source, shown)]
+
+
+def _record(
+    at: Mapping[str, Any], keys: Mapping[str, Any], command: str, ink: str
+) -> dict[str, Any]:
+    """What a page holds of a line, as yet without a gait of its own."""
+    return {
+        "name": axis_values(at),
+        "at": at,
+        "keys": keys,
+        "command": command,
+        "ink": VARIABLES[ink],
+        "called": "",
+        "first": "",
+        "branches": [],
+    }
 
 
 def _lines_of_curves(
@@ -172,23 +181,18 @@ def _lines_of_curves(
     seen = set()
     for name in _OF_CURVES:
         table = source.table(name, *START[:4], "key", "value")
-        for at, row in [] if table is None else points_of_curves(source, table):
+        if table is None:
+            continue
+
+        for at, row in points_of_curves(source, table):
             command = source.command(at)
             if command in seen or with_slope(command, row["slope"]) not in shown:
                 continue
 
             seen.add(command)
             if keys := _parameters_there(source, walkers, at, row):
-                yield {
-                    "name": axis_values(at),
-                    "at": at,
-                    "keys": keys,
-                    "command": command,
-                    "ink": VARIABLES[WALKERS.get(str(at["walker"]), LINE)],
-                    "called": "",
-                    "first": "",
-                    "branches": [],
-                }
+                ink = WALKERS.get(str(at["walker"]), LINE)
+                yield _record(at, keys, command, ink)
 
 
 def _parameters_there(
@@ -199,8 +203,13 @@ def _parameters_there(
     varying = {row.get(key) for key, _ in _KEYS}
     place = {name: value for name, value in row.items() if name not in varying}
     aside = ["walker", *(value for _, value in _KEYS)]
-    own = rows_at(walkers, place).drop(columns=aside, errors="ignore")
-    return {} if own.empty else parameters(source, own.iloc[0].to_dict() | at)
+    own = rows_at(walkers, place)
+    own = own.drop(columns=aside, errors="ignore")
+    if own.empty:
+        return {}
+
+    numbers = own.iloc[0].to_dict()
+    return parameters(source, numbers | at)
 
 
 def points_of_curves(
@@ -210,10 +219,14 @@ def points_of_curves(
     the row of the point.
     """
     for place, row in enumerate(table.to_dict("records")):
-        keys = {str(row[key]): row[value] for key, value in _KEYS if value in row}
         at = source.line_of(table.iloc[[place]])
-        at = {name: value for name, value in at.items() if name != "slope"}
-        yield at | keys, {str(name): value for name, value in row.items()}
+        at.pop("slope", None)
+        for key, value in _KEYS:
+            if value in row:
+                at[str(row[key])] = row[value]
+
+        named = {str(name): value for name, value in row.items()}
+        yield at, named
 
 
 def with_slope(command: str, slope: float) -> str:
@@ -239,18 +252,10 @@ def _optimal_lines(source: Source) -> list[dict[str, Any]]:
         is_regular = bool(np.isfinite(gait["error_bound"].iloc[0]))
         own = walkers.iloc[place].to_dict()
         keys = parameters(source, {**at, **own})
-        lines.append(
-            {
-                "name": axis_values(at),
-                "at": at,
-                "keys": keys,
-                "command": source.command(at),
-                "ink": VARIABLES[LINE],
-                "called": "",
-                "first": _address(at, gait.iloc[0]) if is_regular else "",
-                "branches": [_nodes(gait, 1, keys.get("knees", False))],
-            }
-        )
+        record = _record(at, keys, source.command(at), LINE)
+        record["first"] = _address(at, gait.iloc[0]) if is_regular else ""
+        record["branches"] = [_nodes(gait, 1, keys.get("knees", False))]
+        lines.append(record)
 
     return [line for line in lines if line["keys"]]
 
