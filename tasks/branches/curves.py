@@ -54,7 +54,7 @@ _AT_END = 1e-6
 #: Distance of the last unknown from a value that is rounding.
 _AT_VALUE = 1e-9
 #: Distance of a point from a border that is rounding.
-_AT_BORDER = 1e-10
+AT_BORDER = 1e-10
 #: Share of the way to a border at which a curve begins on it; and that of a segment to
 #: which a turning is located.
 _BEGINS_THERE, _TURNING = 1e-9, 1e-11
@@ -177,7 +177,7 @@ class _Followed(engine.Tracks):
 
         nearest = self._nearest_within(found.Z)
         beside = np.abs(found.Z[-len(nearest) :] - nearest).max()
-        if beside > _AT_BORDER:  # another edge comes first
+        if beside > AT_BORDER:  # another edge comes first
             return not is_second and self._finds_border(track, found, True)
         # Beside the border there may be no walker.
         found.Z[-len(nearest) :] = nearest

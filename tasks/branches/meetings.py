@@ -20,7 +20,12 @@ import numpy as np
 from numpy import ndarray
 
 from gaitsweep.tasks.branches.conditions import CONDITIONS, DEGENERATE, Condition
-from gaitsweep.tasks.branches.curves import follow_both_directions, turning, walks
+from gaitsweep.tasks.branches.curves import (
+    AT_BORDER,
+    follow_both_directions,
+    turning,
+    walks,
+)
 from gaitsweep.tasks.branches.degenerate_forms import (
     UNKNOWN,
     Bounded,
@@ -52,6 +57,9 @@ _SAME_MULTIPLIER = 1e-4
 _PARTS, _REFINEMENTS = 4, 3
 #: Least distance of a sample that is added from others, over the segment.
 _APART = 1e-6
+#: Difference of a scalar from its target that is rounding, over their sizes, and where
+#: both are small.
+_FULFILLED, _ROUNDING = 1e-8, 1e-12
 #: Distance from the change of sign within which the point lies, over the segment; and
 #: that of the turnings of slope and key at a cusp, over a range.
 _NEAR, _SAME_TURNING = 1.0, 1e-6
@@ -158,7 +166,7 @@ def followed(
     points, tangents, stopped, (low, high) = _genuine(equations, first, window)
     part = slice(low, high)
 
-    every = meetings(equations, points, tangents, kind, others)
+    every = meetings(equations, points, tangents, kind, others, window)
     within = [each for each in every if low - 1 <= each.segment < high]
     turned, cusps = turnings(equations, points[part], tangents[part])
 
@@ -328,6 +336,7 @@ def meetings(
     tangents: ndarray,
     kind: str,
     others: Mapping[str, Condition],
+    window: ndarray,
 ) -> Iterator[Meeting]:
     """Yield the points at which a curve fulfils another condition, in the order of the
     conditions.
@@ -342,10 +351,13 @@ def meetings(
     others : mapping
         Conditions that it may meet besides those that only curves of its kind do, by
         their names; its own is passed over.
+    window : ndarray, shape (f, 2)
+        Least and largest last unknowns, beyond which there may be no walker.
 
     Notes
     -----
-    Two roads: the other condition's curve has the same point.
+    Two roads: the other condition's curve has the same point. Where the other holds all
+    along, as a spectral radius of 1 may on a curve of folds, none is met.
     """
     if len(points) < 2:  # the curve leaves its window at once
         return
@@ -363,9 +375,9 @@ def meetings(
 
         both = equations.having([own, other])
         solved: list[Gait] = []
-        for place in _roots(curve.samples, other.residual(at), residual):
+        for place in _crossings(curve, other, other.residual(at), residual):
             segment = curve.segment(place)
-            found = _solved(both, curve.at(place), curve.lengths[segment])
+            found = _solved(both, curve.at(place), curve.lengths[segment], window)
             if found is None or any(same(found, X, SAME_GAIT) for X in solved):
                 continue
 
@@ -404,6 +416,25 @@ class _Cubics:
         a = self.points[k].T, self.tangents[k].T
         b = self.points[k + 1].T, self.tangents[k + 1].T
         return hermite(a, b, self.lengths[k], place - k)
+
+
+def _crossings(
+    curve: _Cubics,
+    condition: Condition,
+    off: ndarray,
+    residual: Callable[[ndarray], ndarray],
+) -> ndarray:
+    """Places at which a curve fulfils a condition, nearly, whose scalar is `off` (n,)
+    from its target at the samples; none on segments along which it holds everywhere.
+    """
+    at_points = np.abs(off[::_PARTS])
+    largest = at_points.max(initial=0.0, where=np.isfinite(at_points))
+    size = largest + np.max(np.abs(condition.target))
+    vanishes = at_points <= _FULFILLED * size + _ROUNDING
+    holds = vanishes[:-1] & vanishes[1:]
+
+    places = _roots(curve.samples, off, residual)
+    return np.asarray(places[~holds[curve.segment(places)]])
 
 
 def _roots(
@@ -453,16 +484,24 @@ def _known(places: ndarray, off: ndarray) -> tuple[ndarray, ndarray]:
     return places[is_known], off[is_known]
 
 
-def _solved(both: Equations, guess: Gait, length: float) -> Gait | None:
-    """The point near a guess (u,) that fulfils both conditions and walks; None where
-    there is none, as where a scalar changes its sign at a pole.
+def _solved(
+    both: Equations, guess: Gait, length: float, window: ndarray
+) -> Gait | None:
+    """The point near a guess (u,) that fulfils both conditions and walks, in a window of
+    its last unknowns; None where there is none, as where a scalar changes its sign at a
+    pole.
     """
     found = solve(both, guess[:, None])
-    X = found.Z[:, 0]
+    X = np.array(found.Z[:, 0])
     is_near = np.linalg.norm(X - guess) < _NEAR * length
-    if not found.ok[0] or not is_near or not walks(both, X):
+    last = X[-len(window) :]
+    inside = np.clip(last, *window.T)
+    is_inside = np.abs(last - inside).max() <= AT_BORDER
+    if not found.ok[0] or not is_near or not is_inside:
         return None
-    return np.asarray(X)
+
+    last[:] = inside
+    return X if walks(both, X) else None
 
 
 def _name(names: Sequence[str], both: Equations, X: Gait) -> str:

@@ -98,7 +98,7 @@ TASKS = {
         ),
         Task("basin", "gaitsweep.tasks.studies.map_basin:basin", 13, needs=("atlas",)),
         Task(
-            "curve", "gaitsweep.tasks.studies.follow_curves:curve", 32, needs=("atlas",)
+            "curve", "gaitsweep.tasks.studies.follow_curves:curve", 33, needs=("atlas",)
         ),
         Task("design", "gaitsweep.tasks.studies.map_designs:design", 27),
         Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 3),

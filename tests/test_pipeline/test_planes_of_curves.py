@@ -79,6 +79,11 @@ def test_a_fold_of_a_plane_is_a_fold_of_its_line(curves, tmp_path):
         np.testing.assert_allclose(folds[column].iloc[[0, -1]], ends, rtol=1e-9)
 
 
+def test_curves_on_which_both_conditions_hold_meet_nowhere(archive):
+    """Rounding alone would tell where folds meet points of a spectral radius of 1."""
+    assert gaitsweep.load(archive, "meetings").empty
+
+
 def test_the_page_has_the_plane(archive, tmp_path):
     text = gaitsweep.report(archive, tmp_path).read_text(encoding="utf-8")
     assert "over m_h at slope 0.02 rad and R" in text

@@ -126,6 +126,37 @@ def test_a_curve_that_meets_a_level_says_which():
     assert found["meetings/point"][of_fold] == "fold and period = 0.893"
 
 
+def test_points_beyond_the_window_are_no_meetings():
+    """Beyond it there may be no walker; a point on its border is put there."""
+
+    def walker_at(detuning):
+        return resolve("A", {"detuning": detuning})
+
+    keys = Keys.of_one("detuning", walker_at, 0.41, 0.43)
+    both = Equations(keys, [CONDITIONS["fold"], CONDITIONS["flip"]])
+
+    branches = survey(Problem(walker_at(0.4204)))
+    folds = np.hstack([branch.Z[:, branch.folds()] for branch in branches])
+    nearest = np.abs(folds[-1] - np.log(0.00567)).argmin()
+    guess = np.append(folds[:, nearest], 0.4204 / keys.scale)
+    everywhere = (-np.inf, np.inf)
+
+    def solved(*window):
+        return meetings._solved(both, guess, 1.0, np.array(window))
+
+    point = solved(everywhere, everywhere)
+    assert point[-1] * keys.scale == pytest.approx(0.42045967028, rel=1e-10)
+
+    below = (-np.inf, point[-1] - 1e-9)
+    above = (point[-2] + 1e-9, np.inf)
+    assert solved(everywhere, below) is None
+    assert solved(above, everywhere) is None
+
+    border = point[-1] - 1e-12
+    on_border = solved(everywhere, (-np.inf, border))
+    assert on_border[-1] == border
+
+
 @pytest.mark.thorough
 def test_two_ends_of_walking_meet():
     """Where kneestrike meets heelstrike, heelstrike turns tangential too: of gaits solved
@@ -135,6 +166,7 @@ def test_two_ends_of_walking_meet():
     ends = "end_kneestrike_at_heelstrike", "end_tangential_heelstrike"
     found = curves_of("C", (0.12, 0.2), [ends[0]], (1e-3, 0.02), detuning=0.2)
     slope, value, *bounds = meeting(found, ends[0], " and ".join(ends))
+
     assert max(bounds) < 1e-9
 
     asked = {"walker": "C", "set": {"detuning": value}}
@@ -154,6 +186,7 @@ def test_curves_of_folds_and_of_complex_pairs_have_the_resonance():
     kinds = ["fold", "neimark_sacker"]
     keys = {"m_h": 0.0, "detuning": 1.21}
     found = curves_of("C", (1.1, 1.25), kinds, (0.1, 0.3), **keys)
+
     fold, pair = (meeting(found, kind, "resonance 1:1") for kind in kinds)
     assert fold[:2] == pytest.approx((0.172984691440933, 1.19212658779289), rel=1e-11)
     agree(fold, pair)
@@ -310,16 +343,19 @@ def test_a_curve_meets_a_condition_wherever_its_scalar_vanishes(
     """Of a straight curve of three segments, on which points are what is guessed."""
     points = np.array([[0.0, k] for k in range(4)])
     tangents = np.tile([0.0, 1.0], (4, 1))
+
     curve = types.SimpleNamespace(
         conditions=(types.SimpleNamespace(name="own", value=None),),
         evaluate=lambda X: X[-1],
         having=lambda conditions: None,
     )
-    other = types.SimpleNamespace(value=scalar, residual=scalar)
-    monkeypatch.setattr(meetings, "_solved", lambda both, guess, length: guess)
+    other = types.SimpleNamespace(value=scalar, residual=scalar, target=0.0)
+
+    monkeypatch.setattr(meetings, "_solved", lambda both, guess, *_: guess)
     monkeypatch.setattr(meetings, "errors", lambda both, X, n: np.zeros(n))
 
-    found = list(meetings.meetings(curve, points, tangents, "own", {"other": other}))
+    met = meetings.meetings(curve, points, tangents, "own", {"other": other}, None)
+    found = list(met)
 
     # Guesses are linear between samples.
     places = [each.X[-1] for each in found]
@@ -329,7 +365,7 @@ def test_a_curve_meets_a_condition_wherever_its_scalar_vanishes(
 
 def test_a_curve_that_leaves_its_window_at_once_meets_nothing():
     points, tangents = np.array([[0.0, 1.0]]), np.array([[0.0, 1.0]])
-    assert not list(meetings.meetings(None, points, tangents, "own", {}))
+    assert not list(meetings.meetings(None, points, tangents, "own", {}, None))
 
 
 #: Slope of the cusp below, and how it moves with the key.
