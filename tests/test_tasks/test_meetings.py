@@ -45,6 +45,7 @@ def meeting(found, kind, point):
     """Slope, key and the bounds of both, of the one meeting of curves of a kind."""
     of_kind = found["meetings/kind"] == kind
     (k,) = np.flatnonzero(of_kind & (found["meetings/point"] == point))
+
     columns = ("slope", "value", "error_bound", "value_error")
     return [float(found[f"meetings/{column}"][k]) for column in columns]
 
@@ -52,6 +53,7 @@ def meeting(found, kind, point):
 def agree(one, other):
     """Whether two roads led to the same point within the sum of their bounds."""
     slope, value, slope_error, value_error = one
+
     assert abs(other[0] / slope - 1) < slope_error + other[2] < 1e-9
     assert abs(other[1] - value) < value_error + other[3] < 1e-9
 
@@ -59,12 +61,14 @@ def agree(one, other):
 @pytest.fixture(scope="module")
 def near_a():
     kinds = ["fold", "flip"]
+
     return curves_of("A", (0.41, 0.43), kinds, (4e-3, 8e-3), detuning=0.42)
 
 
 def test_both_curves_have_the_fold_flip(near_a):
     """Folds that turn out to flip, and flips that turn out to fold."""
     fold, flip = (meeting(near_a, kind, "fold-flip") for kind in ("fold", "flip"))
+
     assert fold[:2] == pytest.approx((0.005670151823, 0.42045967028), rel=1e-10)
     agree(fold, flip)
 
