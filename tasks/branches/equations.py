@@ -89,8 +89,8 @@ class Keys:
     difference : float
         Step of the central differences, over the range.
     walkers_at : callable, optional
-        The walkers at values of all keys, shape (k, n), of which the first is valid:
-        beyond the ranges their formulas go on, of which measures have derivatives too.
+        The walkers at values of all keys, shape (k, n), as an array: beyond the ranges
+        their formulas go on, of which measures have derivatives too.
     """
 
     names: tuple[str, ...]
@@ -138,9 +138,14 @@ class Keys:
         return np.array(self.high) - np.array(self.low)
 
     @functools.cached_property
+    def ordinary_walker(self) -> Walker:
+        """The walker at ordinary values."""
+        return self.walker_at(*self.ordinary)
+
+    @functools.cached_property
     def structure(self) -> Structure:
         """Structure of the walkers at ordinary values."""
-        return structure_of(self.walker_at(*self.ordinary))
+        return structure_of(self.ordinary_walker)
 
     def values(self, x: ndarray) -> ndarray:
         """Return the values of keys, shape (k, n) [the walker's units], at unknowns of
@@ -160,19 +165,22 @@ class Keys:
         continued linearly.
         """
         values = x * self.scale[:, None]
-        if self.walkers_at is not None:
-            return Lanes(self.walkers_at(values), self.structure, drive)
-
         different, lane = np.unique(values, axis=1, return_inverse=True)
-        inner = self._within(different)
+        if self.walkers_at is not None:
+            lanes = Lanes(self.walkers_at(different), self.structure)
+        else:
+            lanes = self._continued(different)
+        return lanes.some(lane.ravel()).over(drive)
 
+    def _continued(self, values: ndarray) -> Lanes:
+        """The step maps at values (k, n), continued linearly beyond the ranges."""
+        inner = self._within(values)
         lanes = self._of_values(inner)
-        if (inner != different).any():
-            mirrored = self._of_values(2 * inner - different)
+        if (inner != values).any():
+            mirrored = self._of_values(2 * inner - values)
             lanes.walkers = lanes.walkers.beyond(mirrored.walkers)
             lanes.constants = 2 * lanes.constants - mirrored.constants
-
-        return lanes.some(lane.ravel()).over(drive)
+        return lanes
 
     def _of_values(self, values: ndarray) -> Lanes:
         """The step maps at values (k, n); NaN where there is no such walker."""
@@ -181,7 +189,7 @@ class Keys:
             try:
                 walkers.append(self.walker_at(*each))
             except WalkerError:
-                walkers.append(self.walker_at(*self.ordinary))
+                walkers.append(self.ordinary_walker)
                 missing.append(number)
 
         lanes = Lanes(walkers, self.structure)
@@ -243,8 +251,8 @@ class Equations:
         self.log_slope = None if slope is None else float(np.log(counted))
         self.keys = walkers if isinstance(walkers, Keys) else None
         if isinstance(walkers, Keys):
-            ordinary = walkers.walker_at(*walkers.ordinary)
-            self.problem: Problem = Lanes([ordinary], walkers.structure, drive)
+            ordinary = [walkers.ordinary_walker]
+            self.problem: Problem = Lanes(ordinary, walkers.structure, drive)
         else:
             self.problem = walkers if slope is None else walkers.over(drive)
 

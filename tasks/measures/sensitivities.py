@@ -108,11 +108,14 @@ class KeyOfWalker:
         That of the walker [the walker's units].
     walker_at : callable
         The walker at other values of it.
+    walkers_at : callable, optional
+        The walkers at several, shape (1, n), as an array, which takes less.
     """
 
     name: str
     value: float
     walker_at: Callable[[float], Walker]
+    walkers_at: Callable[[np.ndarray], WalkerArray] | None = None
 
     @property
     def range(self) -> tuple[float, float]:
@@ -155,11 +158,12 @@ class KeyOfWalker:
         there or grow without bound.
         """
         keys = Keys.of_one(self.name, self.walker_at, *self.range)
+        keys = replace(keys, walkers_at=self.walkers_at)
         if keys.structure.dimension != problem.structure.dimension:
             why = "is special: gaits of the walkers beside it have other unknowns"
             raise WalkerError(self.name, self.value, why)
 
-        structure = general_structure_of(self.walker_at(*keys.ordinary))
+        structure = general_structure_of(keys.ordinary_walker)
         for factor in 10.0 ** np.arange(_TIMES_FINER):
             # What is known of the keys already stays known where nothing changes.
             finer = keys
@@ -167,8 +171,7 @@ class KeyOfWalker:
                 finer = replace(keys, difference=keys.difference / factor)
             places = np.arange(7.0) if self.is_least(finer) else np.arange(-3.0, 4.0)
             values = self.value + places * self.stencil(finer).step * keys.scale[0]
-            walkers = [self.walker_at(value) for value in values.tolist()]
-            constants = constants_of(WalkerArray.of(walkers), structure)
+            constants = constants_of(self._walkers(values), structure)
             if _are_smooth(constants):
                 return finer
 
@@ -180,14 +183,20 @@ class KeyOfWalker:
         finer = DIFFERENCE / keys.difference
         if not self.is_least(keys):
             return _CENTRAL.finer(finer)
-        ordinary = self.walker_at(*keys.ordinary)
-        is_limit = self.walker_at(self.value).massless_leg > ordinary.massless_leg
+        own, ordinary = self.walker_at(self.value), keys.ordinary_walker
+        is_limit = own.massless_leg > ordinary.massless_leg
         return (_BEYOND if is_limit else _FORWARD).finer(finer)
 
     def is_least(self, keys: Keys) -> bool:
         """Whether walkers below its value are not all there that differences take."""
         step = _CENTRAL.step * keys.difference / DIFFERENCE
         return self.value + _CENTRAL.places[0] * step * keys.scale[0] < keys.low[0]
+
+    def _walkers(self, values: np.ndarray) -> WalkerArray:
+        """The walkers at values (n,)."""
+        if self.walkers_at is not None:
+            return self.walkers_at(values[None])
+        return WalkerArray.of([self.walker_at(value) for value in values.tolist()])
 
     def _are_walkers(self, low: float, high: float) -> bool:
         try:
@@ -656,8 +665,6 @@ def slope_by_keys(problem: Problem, condition: Condition, Z: Gait) -> dict[str, 
         except WalkerError:
             continue
 
-        beside = partial(_beside, problem.walker, key.name)
-        keys = replace(keys, walkers_at=beside)
         equations = Equations(keys, [condition]).over(problem.drive)
         X = np.append(Z, key.value / keys.scale)
         by_key = sensitivity(equations, X)[-1, 0]
@@ -668,15 +675,16 @@ def slope_by_keys(problem: Problem, condition: Condition, Z: Gait) -> dict[str, 
 
 def _beside(walker: Walker, key: str, values: np.ndarray) -> WalkerArray:
     """The walkers that differ by values (1, n) of a key, valid or not."""
-    return WalkerArray(**(walker.table() | {key: values[0]}))
+    return WalkerArray(**{**walker.table(), key: values[0]})
 
 
 def _keys_of(walker: Walker) -> list[KeyOfWalker]:
     """The keys by which a walker's gaits are differentiated, besides the slope."""
-    return [
-        KeyOfWalker(key, getattr(walker, key), partial(walker.having, key))
-        for key in (*OF_PASSIVE[1:], *walker.driving_keys)
-    ]
+    keys = []
+    for name in (*OF_PASSIVE[1:], *walker.driving_keys):
+        walker_at, beside = partial(walker.having, name), partial(_beside, walker, name)
+        keys.append(KeyOfWalker(name, getattr(walker, name), walker_at, beside))
+    return keys
 
 
 def at_gaits(

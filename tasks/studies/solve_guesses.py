@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from gaitsweep.tasks.contract.registry import SENSITIVITIES, VARIABLES
 from gaitsweep.tasks.contract.tables import Arrays
 from gaitsweep.tasks.gaits.polish import Guesses, Polished
 from gaitsweep.tasks.measures.gaits import Part, Wanted, describe
@@ -94,6 +95,30 @@ class Solved:
             ratio = np.where(converged, ratio, lost_ratio)
 
         return Part(index, angle, ratio, solved)
+
+
+def walkers_alone(
+    problem: Problem, walker: np.ndarray, names: Sequence[str]
+) -> list[tuple[Problem, int]]:
+    """Return the walkers whose gaits are measured each by themselves, and how many each
+    has, one after another: of gaits that are differentiated. Of others none.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of n lanes.
+    walker : ndarray of int, shape (n,)
+        The number of each lane's walker; equal ones follow one another.
+    names : sequence of str
+        Of the variables wanted.
+    """
+    if not any(VARIABLES[name].group == SENSITIVITIES for name in names):
+        return []
+
+    firsts = np.flatnonzero(np.diff(walker, prepend=-1))
+    counts = np.diff(firsts, append=len(walker))
+    walkers = map(problem.alone, firsts.tolist())
+    return [*zip(walkers, counts.tolist(), strict=True)]
 
 
 def solve_guesses(

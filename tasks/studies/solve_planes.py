@@ -23,7 +23,7 @@ from gaitsweep.tasks.charts.patch_ends import BEYOND, END, FOLD
 from gaitsweep.tasks.charts.sheet import Sheet
 from gaitsweep.tasks.contract import status
 from gaitsweep.tasks.contract.accuracy import is_interpolated
-from gaitsweep.tasks.contract.registry import GAITS, SENSITIVITIES, VARIABLES
+from gaitsweep.tasks.contract.registry import GAITS
 from gaitsweep.tasks.gaits.polish import Guesses, settle
 from gaitsweep.tasks.gaits.step_check import verify_steps
 from gaitsweep.tasks.measures.gaits import (
@@ -37,7 +37,12 @@ from gaitsweep.tasks.step.drive import SLOPE
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.studies.interpolate import interpolate, sheets
 from gaitsweep.tasks.studies.request import Request
-from gaitsweep.tasks.studies.solve_guesses import Solved, block_size, solve_guesses
+from gaitsweep.tasks.studies.solve_guesses import (
+    Solved,
+    block_size,
+    solve_guesses,
+    walkers_alone,
+)
 from gaitsweep.tasks.studies.solve_points import in_units_of, solve_lines
 from gaitsweep.tasks.walkers.resolve import walker_of_line
 from gaitsweep.tasks.walkers.scaling import plain_line, scaling
@@ -614,12 +619,9 @@ def _solve_predicted(
 ) -> Solved:
     """The gaits of points that are predicted."""
     index = np.concatenate([on_patch.index for on_patch in predicted])
-    problem = block.problem.some(index // block.q.shape[1])
-    # Violations and derivatives are measured walker by walker.
-    alone = []
-    groups = {VARIABLES[name].group for name in wanted.names}
-    if groups & {"violations", SENSITIVITIES}:
-        alone = [(problem.alone(lane), 1) for lane in range(len(index))]
+    line = index // block.q.shape[1]
+    problem = block.problem.some(line)
+    alone = walkers_alone(problem, line, wanted.names)
     to_accuracy = partial(settle, sampled=True, accuracy=wanted.accuracy)
     guesses = [on_patch.guesses for on_patch in predicted]
     return solve_guesses(problem, guesses, to_accuracy, wanted, alone)

@@ -470,18 +470,6 @@ def test_a_plane_holds_what_its_lines_hold(archive):
     assert (plane.status.sel(gait=BOTH) == "converged").all()
 
 
-def test_violations_are_measured_walker_by_walker(tmp_path):
-    text = STUDY.format(
-        walker="B", axes="m_s = { from = 0.08, to = 0.12, n = 40 }"
-    ).replace("loss_normal", "scuff_depth")
-    plane = gaitsweep.load(run(tmp_path, text, jobs=1))
-    one = gaitsweep.gaits("B", plane.slope.values, m_s=0.12, variables=["scuff_depth"])
-    depth = plane.scuff_depth.isel(m_s=-1).sel(gait=BOTH)
-    assert depth.values == pytest.approx(
-        one.scuff_depth.sel(gait=BOTH).values, rel=1e-9
-    )
-
-
 def test_arrays_over_a_plane_give_what_a_study_over_it_gives(archive, monkeypatch):
     """Through the same cells, in whatever order the values come, and beside a slope
     that cannot be.

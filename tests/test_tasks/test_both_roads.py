@@ -16,14 +16,16 @@ from gaitsweep.tasks.charts.box import Box, Refused
 from gaitsweep.tasks.charts.cell import Lines, _Maker
 from gaitsweep.tasks.charts.division import make_cells
 from gaitsweep.tasks.charts.family import Family
-from gaitsweep.tasks.contract.registry import ALWAYS, GAITS
+from gaitsweep.tasks.contract import status
+from gaitsweep.tasks.contract.registry import ALWAYS, GAITS, VARIABLES
 from gaitsweep.tasks.measures.gaits import Wanted
+from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.studies import solve_planes
 from gaitsweep.tasks.studies.solve_planes import lines, solve
 from gaitsweep.tasks.studies.solve_points import lines as lines_side_by_side
 from gaitsweep.tasks.studies.solve_points import points
 from gaitsweep.tasks.walkers.resolve import resolve
-from gaitsweep.tasks.walkers.walker import KEYS, WalkerError
+from gaitsweep.tasks.walkers.walker import DIFFERENTIATED, KEYS, WalkerError
 from lines import FAILURES
 from soak.missed import neighbour
 
@@ -328,6 +330,73 @@ def test_bounds_hold_where_steps_nearly_vanish():
             one["stance_angle"], other["stance_angle"], rtol=1e-9
         )
     assert np.nanmin(one["stance_angle"]) > 0.1
+
+
+#: What is measured of gaits that are solved, at rest or in motion.
+MEASURED = [
+    variable.name
+    for variable in VARIABLES.values()
+    if variable.group in ("violations", "energy")
+]
+
+
+@pytest.mark.parametrize(
+    ("walker", "key", "values"),
+    [
+        ("B", "m_s", (0.08, 0.12)),
+        ("C", "m_h", (0.3, 0.8)),
+        ("D", "foot_mass_ratio", (0.0, 0.2)),
+    ],
+)
+def test_gaits_of_a_plane_are_measured_side_by_side_as_those_of_its_lines(
+    walker, key, values
+):
+    window = (0.004, 0.02)
+    slope = np.geomspace(*window, 3)
+    every = [
+        {"walker": walker, "set": {key: float(value)}}
+        for value in np.linspace(*values, 4)
+    ]
+    asked, made = charted(every[0], {key: values}, window)
+    want = [*ALWAYS, *MEASURED]
+    asked |= {"slope": slope, "want": want, "lines": every}
+
+    ((_, plane),) = lines(asked, [made])
+
+    alone = lines_side_by_side({"lines": every, "slope": slope, "want": want}, [])
+    for name in MEASURED:
+        of_plane = plane[name].reshape(len(every), len(slope), -1)
+        of_lines = np.array([points[name] for _, points in alone])
+        if name == "violations":
+            np.testing.assert_array_equal(of_plane, of_lines)
+            continue
+
+        sizes = np.abs(of_lines[np.isfinite(of_lines)])
+        off = 1e-11 * sizes.max(initial=1.0)
+        np.testing.assert_allclose(of_plane, of_lines, rtol=1e-8, atol=off)
+
+
+def test_gaits_of_a_walker_in_a_plane_are_differentiated_at_once(monkeypatch):
+    """Each walker takes longer than a gait."""
+    asked_of = []
+    alone = Lanes.alone
+
+    def counted(problem, lane):
+        asked_of.append(lane)
+        return alone(problem, lane)
+
+    window = (0.004, 0.02)
+    every = [{"walker": "D", "set": {"m_h": m_h}} for m_h in (0.4, 0.5, 0.6)]
+    asked, made = charted(every[0], {"m_h": (0.3, 0.8)}, window)
+    asked |= {"lines": every, "slope": np.geomspace(*window, 5)}
+    monkeypatch.setattr(Lanes, "alone", counted)
+
+    ((_, plane),) = lines({**asked, "want": ["period", "period_by_key"]}, [made])
+
+    assert np.isin(plane["status"][:, :2], status.CONVERGED).all()
+    of_mass = plane["period_by_key"][:, :2, DIFFERENTIATED.index("m_h")]
+    assert np.isfinite(of_mass).all()
+    assert len(asked_of) == 2 * len(every)  # of long and of short gaits
 
 
 def test_gaits_of_the_first_value_of_an_axis_are_not_missed():
