@@ -431,11 +431,19 @@ def _of_lanes(equations: Equations, lanes: np.ndarray) -> Equations:
 
 
 def _are_twins(value: np.ndarray, X: Coordinates, ok: np.ndarray) -> np.ndarray:
-    """Which gaits (n,) of a value are one that comes before them along the curve."""
-    follows = value[1:] == value[:-1]
-    follows &= ok[1:] & ok[:-1]
-    twins = np.zeros(len(value), bool)
-    twins[1:] = follows & same(X[:, 1:], X[:, :-1], SAME_GAIT)
+    """Which gaits (n,) are one that comes before them among those of their value, which
+    follow one another: beside it, or where a closed curve ends at its first.
+    """
+    n = len(value)
+    twins = np.zeros(n, bool)
+    for lag in range(1, n):
+        is_alike = value[lag:] == value[:-lag]
+        if not is_alike.any():
+            break
+
+        is_alike &= ok[lag:] & ok[:-lag]
+        twins[lag:] |= is_alike & same(X[:, lag:], X[:, :-lag], SAME_GAIT)
+
     return twins
 
 

@@ -2,6 +2,8 @@
 have no value.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -161,3 +163,25 @@ def test_an_end_is_compared_with_values_beside_it_and_not_with_the_largest():
     passed = Sampled.of(curve, Condition("level", growing)).passes(np.array([beyond]))
 
     assert not passed.X.size
+
+
+@pytest.mark.parametrize("place", [0.0, 0.6])
+def test_a_gait_to_which_a_curve_returns_is_found_once(place):
+    """As a closed curve does where it ends; here it comes back along its way, and has
+    the value at another gait in between.
+    """
+    problem, (branch, *_) = branches("D")
+    node = len(branch.q) // 2
+    forth = Curve.of_branch(problem, branch).between(node - 3, node + 3)
+    first, other = forth.at(np.array([place, 2.4]))[-1]
+
+    def there_and_back(places):
+        return forth.at(3.0 - np.abs(3.0 - places))
+
+    def product(there):
+        return (there.q - first) * (there.q - other)
+
+    curve = replace(forth, nodes=7, at=there_and_back)
+    passed = Sampled.of(curve, Condition("level", product)).passes_target()
+
+    assert passed.X[-1] == pytest.approx([first, other], abs=1e-9)
