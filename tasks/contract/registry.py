@@ -81,7 +81,7 @@ TASKS = {
         Task(
             "branch",
             "gaitsweep.tasks.studies.follow_branches:branch",
-            28,
+            29,
             needs=("atlas",),
         ),
         Task(

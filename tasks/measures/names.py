@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 
-from gaitsweep.tasks.contract.registry import VARIABLES, is_measure
+from gaitsweep.tasks.contract.registry import VARIABLES, VIOLATIONS, is_measure
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 
@@ -31,3 +31,13 @@ def check_measure(
     if name not in known:
         bound = f"must be a measure of its gaits: {', '.join(known)}"
         raise WalkerError(option, name, bound)
+
+
+def without_meaning(names: Sequence[str], walker: Walker) -> Iterator[str]:
+    """Say of each of some violations that gaits of a walker can have none of it, where
+    that is so.
+    """
+    known = {*measures(walker)}
+    for name in names:
+        if name != "all" and known.isdisjoint(VIOLATIONS[name].amounts):
+            yield f"`{name}` begins nowhere: gaits of this walker have no such violation."

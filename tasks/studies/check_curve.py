@@ -4,14 +4,12 @@ imports no solver.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from gaitsweep.tasks.contract import registry
-from gaitsweep.tasks.contract.registry import VIOLATIONS
-from gaitsweep.tasks.measures.names import check_measure, measures
+from gaitsweep.tasks.measures.names import check_measure
 from gaitsweep.tasks.walkers.resolve import walker_of_line
-from gaitsweep.tasks.walkers.walker import Walker
 
 
 def check(params: Mapping[str, Any]) -> None:
@@ -31,13 +29,3 @@ def check(params: Mapping[str, Any]) -> None:
     walker = walker_of_line(params)
     for measure in options["levels"]:
         check_measure(measure, walker, "levels")
-
-
-def without_meaning(names: Sequence[str], walker: Walker) -> Iterator[str]:
-    """Say of each of some violations that gaits of a walker can have none of it, where
-    that is so.
-    """
-    known = {*measures(walker)}
-    for name in names:
-        if name != "all" and known.isdisjoint(VIOLATIONS[name].amounts):
-            yield f"`{name}` begins nowhere: gaits of this walker have no such violation."

@@ -25,11 +25,12 @@ from gaitsweep.tasks.branches.tracking import correct
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.contract.status import over
-from gaitsweep.tasks.contract.tables import Arrays, nothing, stacked, table
+from gaitsweep.tasks.contract.tables import Arrays, lacking, nothing, stacked, table
 from gaitsweep.tasks.contract.variables import units_of
 from gaitsweep.tasks.gaits.multipliers import multipliers
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures import violations
+from gaitsweep.tasks.measures.names import without_meaning
 from gaitsweep.tasks.measures.onsets import onsets
 from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.measures.sensitivities import slope_by_keys
@@ -90,10 +91,14 @@ def branch(
         `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate,
         shank_rate, period, error_bound, normal_form, normal_form_error, criticality), in
         the walker's units; `along` takes the place of the slope. Where these are wanted
-        `special_sensitivities` (branch, kind, slope, key, key_units, slope_by_key).
+        `special_sensitivities` (branch, kind, slope, key, key_units, slope_by_key). Why
+        a violation has no onset that the walker cannot have, `partly/reason`.
     """
     problem, unit = followed_over(params, int(params.get("steps", 1)))
-    begins = _begins(params, problem.walker)
+    options = registry.options("branch", params)
+    limits = options["violation_limits"]
+    begins = onsets(options["onsets"], problem.walker, limits)
+    never = [*without_meaning(options["onsets"], problem.walker)]
     window = np.array([params["slope_from"], params["slope_to"]], float)
     low, high = _within_reach(problem, window / unit)
     parts: list[tuple[Any, ...]] = []
@@ -112,13 +117,9 @@ def branch(
         rows = [*_derivatives(problem, special)]
         tables |= table("special_sensitivities", rows, DERIVATIVES)
 
-    return tables if parts else tables | _none(problem, window, unit)
-
-
-def _begins(params: Mapping[str, Any], walker: Walker) -> dict[str, Condition]:
-    """The conditions at which the violations begin whose onsets are located."""
-    options = registry.options("branch", params)
-    return onsets(options["onsets"], walker, options["violation_limits"])
+    if not parts:
+        return tables | _none(problem, window, unit)
+    return tables | lacking(never, has_others=True)
 
 
 def _within_reach(problem: Problem, window: PerLane) -> tuple[float, float]:

@@ -31,12 +31,11 @@ from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.status import ranges
 from gaitsweep.tasks.contract.tables import Arrays, lacking, table
 from gaitsweep.tasks.measures.levels import LEVEL, level
-from gaitsweep.tasks.measures.names import check_measure
+from gaitsweep.tasks.measures.names import check_measure, without_meaning
 from gaitsweep.tasks.measures.onsets import ONSET, onsets
 from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
-from gaitsweep.tasks.studies.check_curve import without_meaning
 from gaitsweep.tasks.studies.curve_rows import (
     FORM,
     rows,

@@ -139,3 +139,23 @@ def test_amounts_that_tell_no_distance_begin_where_what_is_below_them_does():
 
 def test_walkers_without_knees_have_no_onsets_of_these():
     assert [*onsets(["release_hyperextends"], resolve("A"), {})] == []
+
+
+@pytest.mark.parametrize(
+    ("violation", "told"),
+    [
+        (
+            "release_hyperextends",
+            ["`release_hyperextends` begins nowhere: gaits of this wa"],
+        ),
+        ("scuff", []),
+    ],
+)
+def test_of_violations_that_a_walker_cannot_have_branches_say_so(violation, told):
+    params = {"line": {"walker": "D", "set": {}}, "n": 2, "onsets": [violation]}
+    params |= {"slope_from": 0.005, "slope_to": 0.01}
+
+    found = branch(params, [_atlas("D", ())])
+
+    reasons = found.get("partly/reason", np.array([])).tolist()
+    assert [reason[:55] for reason in reasons] == told
