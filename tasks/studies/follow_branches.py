@@ -95,10 +95,7 @@ def branch(
         a violation has no onset that the walker cannot have, `partly/reason`.
     """
     problem, unit = followed_over(params, int(params.get("steps", 1)))
-    options = registry.options("branch", params)
-    limits = options["violation_limits"]
-    begins = onsets(options["onsets"], problem.walker, limits)
-    never = [*without_meaning(options["onsets"], problem.walker)]
+    begins, never = _begins(params, problem.walker)
     window = np.array([params["slope_from"], params["slope_to"]], float)
     low, high = _within_reach(problem, window / unit)
     parts: list[tuple[Any, ...]] = []
@@ -114,12 +111,22 @@ def branch(
     tables = stacked("branches", parts, columns_along(problem, COLUMNS))
     tables |= _special_table(problem, special, unit)
     if params.get("sensitivities"):
-        rows = [*_derivatives(problem, special)]
-        tables |= table("special_sensitivities", rows, DERIVATIVES)
-
+        tables |= _sensitivities(problem, special)
     if not parts:
         return tables | _none(problem, window, unit)
     return tables | lacking(never, has_others=True)
+
+
+def _begins(
+    params: Mapping[str, Any], walker: Walker
+) -> tuple[dict[str, Condition], list[str]]:
+    """The conditions at which the violations begin whose onsets are located, and what is
+    to say of those that the walker cannot have.
+    """
+    options = registry.options("branch", params)
+    names = options["onsets"]
+    begins = onsets(names, walker, options["violation_limits"])
+    return begins, [*without_meaning(names, walker)]
 
 
 def _within_reach(problem: Problem, window: PerLane) -> tuple[float, float]:
@@ -255,6 +262,12 @@ def _special_table(
         (number, *_special_row(problem, point, unit)) for number, point in special
     ]
     return table("special_points", points, columns_along(problem, SPECIAL))
+
+
+def _sensitivities(problem: Problem, special: Sequence[_Numbered]) -> Arrays:
+    """The table of derivatives of the slopes of special points."""
+    rows = [*_derivatives(problem, special)]
+    return table("special_sensitivities", rows, DERIVATIVES)
 
 
 def _derivatives(

@@ -126,6 +126,7 @@ def test_a_curve_that_meets_a_level_says_which():
     found = curve(asked, [_atlas("A", (("detuning", 0.42),))])
 
     of_fold = found["meetings/meets"] == "period = 0.893"
+
     assert of_fold.sum() == 1
     assert found["meetings/point"][of_fold] == "fold and period = 0.893"
 
@@ -149,15 +150,18 @@ def test_points_beyond_the_window_are_no_meetings():
         return meetings._solved(both, guess, 1.0, np.array(window))
 
     point = solved(everywhere, everywhere)
+
     assert point[-1] * keys.scale == pytest.approx(0.42045967028, rel=1e-10)
 
     below = (-np.inf, point[-1] - 1e-9)
     above = (point[-2] + 1e-9, np.inf)
+
     assert solved(everywhere, below) is None
     assert solved(above, everywhere) is None
 
     border = point[-1] - 1e-12
     on_border = solved(everywhere, (-np.inf, border))
+
     assert on_border[-1] == border
 
 
@@ -175,6 +179,7 @@ def test_two_ends_of_walking_meet():
 
     asked = {"walker": "C", "set": {"detuning": value}}
     (below,) = solve_one({**asked, "slope": slope * (1 - 1e-6)})["gaits"]
+
     assert below["kneestrike_time"] < 0.7 * below["period"]
     largest = []
     for distance in (1e-6, 1e-4):
@@ -192,15 +197,18 @@ def test_curves_of_folds_and_of_complex_pairs_have_the_resonance():
     found = curves_of("C", (1.1, 1.25), kinds, (0.1, 0.3), **keys)
 
     fold, pair = (meeting(found, kind, "resonance 1:1") for kind in kinds)
+
     assert fold[:2] == pytest.approx((0.172984691440933, 1.19212658779289), rel=1e-11)
     agree(fold, pair)
 
     # Beyond it the multipliers are real: the curve of pairs ends there.
     of_pairs = found["curves/kind"] == "neimark_sacker"
+
     assert list(found["curves/stopped"][of_pairs][[0, -1]]) == [
         "resonance 1:1",
         "border",
     ]
+
     assert found["curves/value"][of_pairs][0] == pair[1]
     assert (found["curves/value"][of_pairs][1:] > pair[1]).all()
 
