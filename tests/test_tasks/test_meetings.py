@@ -138,12 +138,16 @@ def test_points_beyond_the_window_are_no_meetings():
         return resolve("A", {"detuning": detuning})
 
     keys = Keys.of_one("detuning", walker_at, 0.41, 0.43)
-    both = Equations(keys, [CONDITIONS["fold"], CONDITIONS["flip"]])
+    fold = CONDITIONS["fold"]
+    flip = CONDITIONS["flip"]
+    both = Equations(keys, [fold, flip])
 
     branches = survey(Problem(walker_at(0.4204)))
-    folds = np.hstack([branch.Z[:, branch.folds()] for branch in branches])
-    nearest = np.abs(folds[-1] - np.log(0.00567)).argmin()
-    guess = np.append(folds[:, nearest], 0.4204 / keys.scale)
+    on_branches = [branch.Z[:, branch.folds()] for branch in branches]
+    folds = np.hstack(on_branches)
+    off = np.abs(folds[-1] - np.log(0.00567))
+    own = 0.4204 / keys.scale
+    guess = np.append(folds[:, off.argmin()], own)
     everywhere = (-np.inf, np.inf)
 
     def solved(*window):
