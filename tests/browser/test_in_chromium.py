@@ -51,6 +51,25 @@ def test_a_page_opens_without_a_word_in_the_console_and_fits_its_width(
     assert [entry["message"] for entry in browser.get_log("browser")] == []
 
 
+#: How far the buttons of figures reach over what stands above these [px], where they
+#: show without a pointer.
+OVERLAPS = """Array.from(document.querySelectorAll(".plot .tools"), tools => {
+  const frame = tools.closest(".frame"), above = frame.previousElementSibling;
+  return above ? above.getBoundingClientRect().bottom - tools.getBoundingClientRect().top : 0;
+})"""
+
+
+@pytest.mark.parametrize("width", [390, 1000])
+def test_buttons_of_figures_lie_over_no_words_where_they_always_show(visit, width):
+    browser = visit("design", width)
+    assert ask(browser, "matchMedia('(hover: none)').matches")
+
+    overlaps = ask(browser, OVERLAPS)
+
+    assert overlaps
+    assert max(overlaps) <= 0
+
+
 def test_every_link_of_the_index_leads_to_a_page(visit):
     browser = visit("index")
     links = {
