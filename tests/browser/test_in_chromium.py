@@ -54,7 +54,7 @@ def test_a_page_opens_without_a_word_in_the_console_and_fits_its_width(
 #: How far the buttons of figures reach over what stands above these [px], where they
 #: show without a pointer.
 OVERLAPS = """Array.from(document.querySelectorAll(".plot .tools"), tools => {
-  const frame = tools.closest(".frame"), above = frame.previousElementSibling;
+  const above = tools.closest("figure").previousElementSibling;
   return above ? above.getBoundingClientRect().bottom - tools.getBoundingClientRect().top : 0;
 })"""
 
