@@ -155,13 +155,15 @@ def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> None:
 
 
 def _write_at_lines(axes: Axes, rows: Sequence[Any]) -> None:
-    """Write printed and computed slopes beside their lines."""
+    """Write printed and computed slopes beside their lines, which the legend tells
+    apart: longer words would touch on a narrow page.
+    """
     for row in rows:
-        words = f"printed {as_printed(row.printed, row.half_unit)}"
+        words = as_printed(row.printed, row.half_unit)
         is_right = row.printed >= row.slope
         _write_at_line(axes, words, row.printed, is_right, height=0.03, color=PRINTED)
 
-        words = f"computed {plain(row.slope, 4)}"
+        words = plain(row.slope, 4)
         is_right = row.slope >= row.printed
         _write_at_line(axes, words, row.slope, is_right, height=0.11, color=INK)
 
