@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TypeVar
@@ -206,6 +207,26 @@ class Branch:
         """
         after = np.atleast_1d(segments) + 1
         return self.insert(after, point.Z, point.direction)
+
+    def with_nodes_of(self, others: Sequence[tuple[int, Branch]]) -> Branch:
+        """Branch with the nodes that others have more than it on one segment each, and
+        nothing measured yet.
+
+        Parameters
+        ----------
+        others : sequence of (int, Branch)
+            Different segments, and branches that have all of its nodes.
+        """
+        after, Z, tangent = [], [self.Z[:, :0]], [self.tangent[:, :0]]
+        for segment, other in others:
+            more = len(other.q) - len(self.q)
+            new = slice(segment + 1, segment + 1 + more)
+            after += [segment + 1] * more
+            Z.append(other.Z[:, new])
+            tangent.append(other.tangent[:, new])
+
+        places = np.array(after, int)
+        return self.insert(places, np.hstack(Z), np.hstack(tangent))
 
     def _of_nodes(
         self,
