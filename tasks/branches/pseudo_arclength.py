@@ -441,10 +441,11 @@ class Tracks(ABC):
             last = self.Z[:, active], self.tangent[:, active]
             point, fair = self.advance(active)
             new = active[fair]
-            last = lanes_of(last, fair)
+            if not fair.all():
+                point, last = lanes_of((point, last), fair)
             self.record(new)
 
-            self.stop[new] = self.reasons(new, lanes_of(point, fair), last[0])
+            self.stop[new] = self.reasons(new, point, last[0])
             too_many = (self.stop[new] == "") & (self.count[new] >= most)
             self.stop[new[too_many]] = TOO_MANY
             # Whatever lies beyond: it has been there.

@@ -11,8 +11,9 @@ from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.settling import settle_on_branches
 from gaitsweep.tasks.contract.registry import GAITS
 from gaitsweep.tasks.gaits.labels import places
-from gaitsweep.tasks.gaits.polish import Polished
+from gaitsweep.tasks.gaits.polish import Guesses, Polished
 from gaitsweep.tasks.gaits.step_check import gait_ratio
+from gaitsweep.tasks.step.lanes import join_lanes, lanes_of, slices
 from gaitsweep.tasks.step.problem import Problem
 
 #: What is said of a slope without a gait that was found and verified.
@@ -58,20 +59,33 @@ def labelled(
         of the gaits there as `places` has them, -1 where none was found and verified to
         be a step; and these gaits.
     """
-    found = []
-    keys = []
+    pieces = []
     for branch in branches:
         for index, Z, segment in branch.guesses(np.log(slope)):
-            guesses = branch.known_guesses(Z, segment, slope[index])
-            at = settle_on_branches(problem, guesses, [(problem, branch, segment)])
-            verified = at.converged & at.step
-            found.append((index, verified, at))
+            pieces.append((branch, index, Z, segment))
+    if not pieces:
+        return []
 
-            key = np.full((2, len(slope)), np.nan)
-            key[:, index] = _angles_and_ratios(at, Z, branch.ratio_on(segment))
-            keys.append(key)
+    guesses: Guesses = join_lanes(
+        [
+            branch.known_guesses(Z, segment, slope[index])
+            for branch, index, Z, segment in pieces
+        ]
+    )
+    spots = [(problem, branch, segment) for branch, *_, segment in pieces]
+    settled = settle_on_branches(problem, guesses, spots)
 
-    angles, ratios = np.reshape(keys, (-1, 2, len(slope))).swapaxes(0, 1)
+    found = []
+    keys = []
+    lanes = slices([len(index) for _, index, *_ in pieces])
+    for (branch, index, Z, segment), some in zip(pieces, lanes, strict=True):
+        at = lanes_of(settled, some)
+        found.append((index, at.converged & at.step, at))
+        key = np.full((2, len(slope)), np.nan)
+        key[:, index] = _angles_and_ratios(at, Z, branch.ratio_on(segment))
+        keys.append(key)
+
+    angles, ratios = np.swapaxes(keys, 0, 1)
     parts = []
     for place, part in zip(places(angles, ratios), found, strict=True):
         index, verified, at = part
