@@ -16,6 +16,7 @@ from gaitsweep.tasks.mechanics.arrays import (
     Unknowns,
 )
 from gaitsweep.tasks.mechanics.sums import matvec, norm, total
+from gaitsweep.tasks.step.lanes import lanes_of, parts_of
 from gaitsweep.tasks.step.problem import EPS, Problem, residual_sizes, scale_of, sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
 
@@ -115,6 +116,8 @@ def characteristic_scale(stride: AnyStride) -> ndarray:
 #: Units in which a step is evaluated to see how it rounds; a number divisible by
 #: fifteen is exact in each.
 UNITS = (1.0, 0.75, 1.25, 0.9375)
+#: Steps evaluated at a time, so that many gaits of many steps find room.
+_MOST_STEPS = 1 << 14
 #: Distance of neighbouring states: enough to round differently, and near enough to the
 #: gait even for long steps.
 _NEIGHBOUR = 1e-11
@@ -168,12 +171,25 @@ def rounding_std(
     -----
     Measured, not estimated: a step is evaluated in several units, in each of which every operation rounds anew.
     """
-    variances = []
-    for neighbour in range(near):
-        moved = w.copy()
-        moved[0] += _NEIGHBOUR * neighbour
-        variances.append(_variance(problem, moved, np.exp(log_slope)))
+    most = _MOST_STEPS // (near * len(UNITS) * problem.steps)
+    parts = [
+        _rounding_std(problem.some(some), w[:, some], log_slope[some], near)
+        for some in parts_of(w.shape[1], most)
+    ]
+    return np.concatenate(parts, axis=-1)
 
+
+def _rounding_std(
+    problem: Problem, w: Unknowns, log_slope: LogSlopes, near: int
+) -> ndarray:
+    """What `rounding_std` returns, with all states side by side."""
+    n = w.shape[1]
+    lanes = np.tile(np.arange(n), near)
+    moved = w[:, lanes]
+    moved[0] += _NEIGHBOUR * np.repeat(np.arange(near), n)
+    variances = _variance(problem.some(lanes), moved, np.exp(log_slope[lanes]))
+
+    variances = variances.reshape(-1, near, n).swapaxes(0, 1)
     known = np.isfinite(variances)
     summed = total(np.where(known, variances, 0.0))
     return np.sqrt(summed / known.sum(axis=0))
@@ -182,31 +198,35 @@ def rounding_std(
 def _variance(problem: Problem, w: Unknowns, slope: Slopes) -> ndarray:
     """Variances of what `rounding_std` measures, at one state of each gait."""
     m = problem.m
+    n = w.shape[1]
     angle = np.exp(w[0])
     power = scale_of(angle)
     section = np.vstack([angle, angle * w[1:m]])
     y = by_fifteen(section / power)
-    found = []
-    for unit in UNITS:
-        parameters = problem.parameters(slope, power * unit)
-        stride = problem.map(y / unit, w[m:], parameters)
-        at_gait = stride.y + stride.newton
-        _, values, by_unknowns = reported(
-            problem, at_gait, stride.newton_times, parameters
-        )
-        coefficients = characteristic(stride.jacobian)
-        found.append(_in_units(values, unit, coefficients))
 
+    lanes = np.tile(np.arange(n), len(UNITS))
+    unit = np.repeat(UNITS, n)
+    in_units = problem.some(lanes)
+    parameters = in_units.parameters(slope[lanes], power[lanes] * unit)
+    stride = problem.map(y[:, lanes] / unit, w[m:, lanes], parameters)
+    at_gait = stride.y + stride.newton
+    _, values, by_unknowns = reported(problem, at_gait, stride.newton_times, parameters)
+    coefficients = characteristic(stride.jacobian)
+    found = _in_units(values, unit, coefficients)
+    found = found.reshape(-1, len(UNITS), n).swapaxes(0, 1)
     off = found - total(found) / len(UNITS)
+
     # The sensitivity is the same in all units but for rounding: the last serves.
-    by_image = sensitivity(stride, values, by_unknowns)
+    last = slice(len(lanes) - n, None)
+    stride = lanes_of(stride, last)
+    by_image = sensitivity(stride, values[:, last], by_unknowns[..., last])
     of_coefficients = characteristic_scale(stride)
-    scale = _in_units(by_image, unit, of_coefficients)
+    scale = _in_units(by_image, UNITS[-1], of_coefficients)
     variance = total(off * off) / (len(UNITS) - 1)
     return np.asarray(variance / scale**2)
 
 
-def _in_units(values: ndarray, unit: float, coefficients: ndarray) -> ndarray:
+def _in_units(values: ndarray, unit: float | ndarray, coefficients: ndarray) -> ndarray:
     """Angle and rates in a unit, the period, and coefficients below them."""
     return np.vstack([values[:-1] * unit, values[-1:], coefficients])
 

@@ -53,10 +53,11 @@ _ORBITS, _SPREAD, _MAX_EXTENT = 640, 1e-9, 3.0
 #: in ln slope, that is expected: the first intervals of a cascade need not follow
 #: Feigenbaum's law.
 _FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
-#: Largest step of Newton's method by which a guess is not lost, and most steps: what is
-#: not near a gait by then hardly ever converges. Of guesses in one cell of this size
-#: after three steps, which lead to one gait, the nearest to it continues.
-_MAX_STEP, _MAX_NEWTON, _MERGE_CELL = 1.0, 12, 1e-2
+#: Guesses whose first, second, ... step of Newton's method is larger are lost, and those
+#: that take so many: hardly one converges. Of guesses in one cell of this size after
+#: three steps, which lead to one gait, the nearest to it continues.
+_MAX_STEP_BY_ITERATION = (1.0, 0.8, 0.4, 0.2, 0.1, 0.05)
+_MAX_NEWTON, _MERGE_CELL = 12, 1e-2
 #: Initial states at a slope that are polished: those that return closest to themselves.
 _POLISHED = 60
 #: Most points of a branch on which no event is found.
@@ -389,7 +390,7 @@ def _solved(problem: Problem, w: Unknowns, slope: Slopes) -> list[Point]:
             q,
             coarse=coarse,
             max_iterations=_MAX_NEWTON,
-            max_step_by_iteration=(_MAX_STEP,),
+            max_step_by_iteration=_MAX_STEP_BY_ITERATION,
             merge_cell=cell,
             group=q,
         )
