@@ -172,7 +172,11 @@ def _stop_reasons(point: Point) -> ndarray:
         "end_zero_step": no_step | vanished,
         "heelstrike before kneestrike": early,
     }
-    return np.select(list(tests.values()), list(tests), "").astype(object)
+    why = np.full(len(q), "", object)
+    # Of several reasons the first counts.
+    for name, holds in reversed(tests.items()):
+        why[holds] = name
+    return why
 
 
 def _leave_the_drive(point: Point) -> PerLane:
