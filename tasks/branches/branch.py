@@ -215,18 +215,18 @@ class Branch:
         Parameters
         ----------
         others : sequence of (int, Branch)
-            Different segments, and branches that have all of its nodes.
+            Different segments, rising, and branches that have all of its nodes.
         """
-        after, Z, tangent = [], [self.Z[:, :0]], [self.tangent[:, :0]]
-        for segment, other in others:
+        branch = self
+        # From the last on: what is inserted moves nothing before it.
+        for segment, other in reversed(others):
+            after = segment + 1
             more = len(other.q) - len(self.q)
-            new = slice(segment + 1, segment + 1 + more)
-            after += [segment + 1] * more
-            Z.append(other.Z[:, new])
-            tangent.append(other.tangent[:, new])
+            new = slice(after, after + more)
+            places = np.full(more, after)
+            branch = branch.insert(places, other.Z[:, new], other.tangent[:, new])
 
-        places = np.array(after, int)
-        return self.insert(places, np.hstack(Z), np.hstack(tangent))
+        return branch
 
     def _of_nodes(
         self,

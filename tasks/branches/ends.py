@@ -132,14 +132,14 @@ def _earlier_strike_end(
     zero.
     """
     axis = branch.axis[segment]
-    nodes = branch.Z[axis, good], branch.Z[axis, bad]
+    begin, end = branch.Z[axis, [good, bad]].tolist()
     # Bisection by whether the step happens brackets the point; the guard's minimum is
     # smooth only near it.
-    a, b = yield from _bisect(branch, segment, *nodes, 8)
+    a, b = yield from _bisect(branch, segment, begin, end, 8)
     known: Known = {}
     points = yield from correct_all_at(branch, segment, (a, b), known)
-    at_a, at_b = yield [_distance(point) for point in points]
-    if np.isfinite([at_a, at_b]).all() and at_a * at_b < 0:
+    at_a, at_b = yield [*map(_distance, points)]
+    if np.isfinite(at_a - at_b) and at_a * at_b < 0:
         point = yield from search_segment(branch, segment, (a, b), _distance, known)
         # The value at half as many samples shows the error of the cubic's minimum.
         coarse = yield from _distance(point, _SAMPLES // 2)
@@ -147,8 +147,10 @@ def _earlier_strike_end(
     else:
         # Only samples locate it: as many as points are verified with, and finer ones to
         # show the error.
-        a, _ = yield from _bisect(branch, segment, a, b, 40)
-        fine, _ = yield from _bisect(branch, segment, *nodes, 48, _is_step_finely)
+        (a, _), (fine, _) = yield [
+            _bisect(branch, segment, a, b, 40),
+            _bisect(branch, segment, begin, end, 48, _is_step_finely),
+        ]
         point = yield from correct_at(branch, segment, a)
         error = 2 * (fine - a)
 

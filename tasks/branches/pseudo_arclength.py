@@ -231,7 +231,7 @@ class _BorderedNewton:
         moving = size <= self.limits.max_step
         self.Z[:, lanes[moving]] += change[:, moving]
         self.rounding[lanes] = self.rounding_step(matrix, system)
-        ended = self._ended(lanes, size, np.abs(change).max(axis=0))
+        ended = self._ended(lanes, size, change)
         self.grown[lanes] = size > self.size[lanes]
         self.size[lanes] = size
 
@@ -250,11 +250,12 @@ class _BorderedNewton:
         else:
             replace_lanes(self.at, lanes, system)
 
-    def _ended(self, lanes: Numbers, size: PerLane, largest: PerLane) -> ndarray:
+    def _ended(self, lanes: Numbers, size: PerLane, change: Coordinates) -> ndarray:
         """Why lanes end after steps of some sizes, or that they go on; what only leads
         to others is accurate enough by the largest change of all coordinates.
         """
         limits = self.limits
+        largest = np.abs(change).max(axis=0)
         at_rest = (size <= self.rounding[lanes]) | (largest <= limits.enough)
         shrinks = size <= limits.shrinking * self.size[lanes]
         is_last = at_rest | ((size < limits.small) & ~shrinks)

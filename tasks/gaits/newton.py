@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -290,28 +290,36 @@ def _curvature(
     k, n = w.shape
     lipschitz = np.zeros(n)
     gradient = np.zeros((len(base.jacobian), *w.shape))
-    for part in parts_of(k, _MOST_STEPS // (n * problem.steps)):
-        directions = np.arange(k)[part]
-        lanes = np.tile(np.arange(n), len(directions))
-        moved = w[:, lanes]
-        moved[np.repeat(directions, n), np.arange(len(lanes))] += h
-        stride, _ = problem.some(lanes).stride(moved, log_slope[lanes])
-        derivatives = np.split(stride.derivative, len(directions), axis=-1)
-        polynomials = np.split(
-            characteristic(stride.jacobian), len(directions), axis=-1
-        )
-        for i, derivative, value in zip(
-            directions, derivatives, polynomials, strict=True
-        ):
-            change = (derivative - base.derivative)[:, :k] / h
-            moved_by = matvec(base.inverse[:, :, None], change)
-            lipschitz = np.maximum(lipschitz, _row_sum_norm(moved_by, size))
-            gradient[:, i] = (value - polynomial) / h
+    for i, derivative, moved_to in _beside(problem, w, log_slope, h):
+        change = (derivative - base.derivative)[:, :k] / h
+        moved_by = matvec(base.inverse[:, :, None], change)
+        lipschitz = np.maximum(lipschitz, _row_sum_norm(moved_by, size))
+        gradient[:, i] = (moved_to - polynomial) / h
 
     # Multipliers near zero have no size of their own: then 1 is their scale.
     scale = np.maximum(_largest(polynomial), 1.0)
     steepness = _largest(np.concatenate(gradient)) * h / scale
     return lipschitz, gradient / characteristic_scale(base)[:, None], steepness
+
+
+def _beside(
+    problem: Problem, w: Unknowns, log_slope: LogSlopes, h: float
+) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """The derivative of the joint equations and the characteristic polynomial at w moved
+    by h in each direction, many of these side by side.
+    """
+    k, n = w.shape
+    for part in parts_of(k, _MOST_STEPS // (n * problem.steps)):
+        directions = np.arange(k)[part]
+        lanes = np.tile(np.arange(n), len(directions))
+        moved = w[:, lanes]
+        moved[np.repeat(directions, n), np.arange(len(lanes))] += h
+
+        stride, _ = problem.some(lanes).stride(moved, log_slope[lanes])
+        polynomials = characteristic(stride.jacobian)
+        for place, i in enumerate(directions.tolist()):
+            some = slice(place * n, (place + 1) * n)
+            yield i, stride.derivative[..., some], polynomials[:, some]
 
 
 def _row_sum_norm(matrices: np.ndarray, size: np.ndarray) -> PerLane:

@@ -171,12 +171,14 @@ def rounding_std(
     -----
     Measured, not estimated: a step is evaluated in several units, in each of which every operation rounds anew.
     """
-    most = _MOST_STEPS // (near * len(UNITS) * problem.steps)
-    parts = [
-        _rounding_std(problem.some(some), w[:, some], log_slope[some], near)
-        for some in parts_of(w.shape[1], most)
-    ]
-    return np.concatenate(parts, axis=-1)
+    of_each = near * len(UNITS) * problem.steps
+    parts = []
+    for some in parts_of(w.shape[1], _MOST_STEPS // of_each):
+        lanes = problem.some(some)
+        part = _rounding_std(lanes, w[:, some], log_slope[some], near)
+        parts.append(part)
+
+    return np.hstack(parts)
 
 
 def _rounding_std(
@@ -185,11 +187,14 @@ def _rounding_std(
     """What `rounding_std` returns, with all states side by side."""
     n = w.shape[1]
     lanes = np.tile(np.arange(n), near)
+    neighbour = np.repeat(np.arange(near), n)
     moved = w[:, lanes]
-    moved[0] += _NEIGHBOUR * np.repeat(np.arange(near), n)
-    variances = _variance(problem.some(lanes), moved, np.exp(log_slope[lanes]))
+    moved[0] += _NEIGHBOUR * neighbour
 
-    variances = variances.reshape(-1, near, n).swapaxes(0, 1)
+    slope = np.exp(log_slope[lanes])
+    of_all = _variance(problem.some(lanes), moved, slope)
+    by_state = of_all.reshape(-1, near, n)
+    variances = by_state.swapaxes(0, 1)
     known = np.isfinite(variances)
     summed = total(np.where(known, variances, 0.0))
     return np.sqrt(summed / known.sum(axis=0))
@@ -197,33 +202,50 @@ def _rounding_std(
 
 def _variance(problem: Problem, w: Unknowns, slope: Slopes) -> ndarray:
     """Variances of what `rounding_std` measures, at one state of each gait."""
-    m = problem.m
     n = w.shape[1]
+    stride, values, by_unknowns = _in_all_units(problem, w, slope)
+    coefficients = characteristic(stride.jacobian)
+
+    unit = np.repeat(UNITS, n)
+    of_all = _in_units(values, unit, coefficients)
+    by_unit = of_all.reshape(-1, len(UNITS), n)
+    found = by_unit.swapaxes(0, 1)
+    mean = total(found) / len(UNITS)
+    off = found - mean
+
+    # The sensitivity is the same in all units but for rounding: the last serves.
+    last = slice(len(unit) - n, None)
+    in_last = lanes_of(stride, last)
+    by_image = sensitivity(in_last, values[:, last], by_unknowns[..., last])
+    of_coefficients = characteristic_scale(in_last)
+    scale = _in_units(by_image, UNITS[-1], of_coefficients)
+
+    variance = total(off * off) / (len(UNITS) - 1)
+    return np.asarray(variance / scale**2)
+
+
+def _in_all_units(
+    problem: Problem, w: Unknowns, slope: Slopes
+) -> tuple[AnyStride, ndarray, ndarray]:
+    """Steps of gaits (m + phases, n) in one unit after another, what is reported of
+    them, and its derivatives.
+    """
+    m = problem.m
     angle = np.exp(w[0])
     power = scale_of(angle)
     section = np.vstack([angle, angle * w[1:m]])
     y = by_fifteen(section / power)
 
+    n = w.shape[1]
     lanes = np.tile(np.arange(n), len(UNITS))
     unit = np.repeat(UNITS, n)
-    in_units = problem.some(lanes)
-    parameters = in_units.parameters(slope[lanes], power[lanes] * unit)
+    scale = power[lanes] * unit
+    parameters = problem.some(lanes).parameters(slope[lanes], scale)
     stride = problem.map(y[:, lanes] / unit, w[m:, lanes], parameters)
+
     at_gait = stride.y + stride.newton
     _, values, by_unknowns = reported(problem, at_gait, stride.newton_times, parameters)
-    coefficients = characteristic(stride.jacobian)
-    found = _in_units(values, unit, coefficients)
-    found = found.reshape(-1, len(UNITS), n).swapaxes(0, 1)
-    off = found - total(found) / len(UNITS)
-
-    # The sensitivity is the same in all units but for rounding: the last serves.
-    last = slice(len(lanes) - n, None)
-    stride = lanes_of(stride, last)
-    by_image = sensitivity(stride, values[:, last], by_unknowns[..., last])
-    of_coefficients = characteristic_scale(stride)
-    scale = _in_units(by_image, UNITS[-1], of_coefficients)
-    variance = total(off * off) / (len(UNITS) - 1)
-    return np.asarray(variance / scale**2)
+    return stride, values, by_unknowns
 
 
 def _in_units(values: ndarray, unit: float | ndarray, coefficients: ndarray) -> ndarray:
