@@ -143,7 +143,7 @@ def _earlier_strike_end(
         point = yield from search_segment(branch, segment, (a, b), _distance, known)
         # The value at half as many samples shows the error of the cubic's minimum.
         coarse = yield from _distance(point, _SAMPLES // 2)
-        error = abs(coarse / (at_b - at_a) * (b - a))
+        error = coarse / (at_b - at_a) * (b - a)
     else:
         # Only samples locate it: as many as points are verified with, and finer ones to
         # show the error.
