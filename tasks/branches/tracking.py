@@ -49,8 +49,9 @@ from gaitsweep.tasks.step.verify_step import StepCheck
 MIN_SLOPE, MAX_SLOPE = SLOPES[0], 0.7
 _NEWTON = Newton(max_iterations=8, max_step=1.0, small=1e-9, shrinking=0.2)
 #: Newton step after which a point of a track is accurate enough: the next, about its
-#: square, is taken for all points together.
-_ENOUGH = 1e-7
+#: square, is taken for all points together. Before a fall, where the duration grows
+#: without bound, a larger one would leave errors for which steps must be short.
+_ENOUGH = 1e-10
 #: Steps of branches turn by at most 0.3 rad; what is kept near its target is the
 #: distance from the predicted point.
 _CONTROL = StepControl(
