@@ -43,7 +43,12 @@ from gaitsweep.tasks.branches.segment import (
     sharpened_fold,
     value_of,
 )
-from gaitsweep.tasks.branches.tracking import MIN_SLOPE, check_steps, follow
+from gaitsweep.tasks.branches.tracking import (
+    MIN_SLOPE,
+    check_steps,
+    follow,
+    refine_and_check,
+)
 from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.gaits.search import (
     VANISHING,
@@ -110,7 +115,8 @@ def branches_along(
     if len(raw.q) < 4:
         return []
 
-    check = yield Call(check_steps, (raw.Z,))
+    point, check = yield Call(refine_and_check, (raw.Z, raw.direction))
+    raw = replace(raw, Z=point.Z, tangent=point.direction)
     steps = check.step
     gait = raw.Z[:, start]
     if not steps[start]:
@@ -124,24 +130,39 @@ def branches_along(
         raw = replace(raw.part(order), why=("", ""), end_errors=(0.0, 0.0))
         steps = steps[order]
 
-    branches: list[Branch] = []
-    for first, last in _runs(steps):
-        branch = yield from _with_ends(raw, first, last)
-        if branch is None:
-            continue
+    is_loop = is_closed and bool(steps.all())
+    parts = yield [
+        _part_along(raw, run, gait, tolerance, is_loop, flips) for run in _runs(steps)
+    ]
+    return list(itertools.chain(*parts))
 
-        branch = yield from _with_folds(branch)
-        if is_closed and steps.all():
-            branch = _cut_at_fold(branch)
-        branch = begun_at_flips(branch, flips)
 
-        branch = yield from densify(branch, tolerance)
-        branch = yield from without_jumps(branch.in_order(gait), gait)
-        branch = yield from checked(branch, gait)
-        if len(branch.q) >= MIN_NODES:
-            branches += yield from _without_gaps(branch, gait, tolerance)
+def _part_along(
+    raw: Branch,
+    run: tuple[int, int],
+    gait: Gait,
+    tolerance: float,
+    is_loop: bool,
+    flips: Sequence[Evaluation],
+) -> Procedure[list[Branch]]:
+    """The branches of a run of nodes that are steps, of a branch that began at a gait;
+    of one that is a loop all are.
+    """
+    branch = yield from _with_ends(raw, *run)
+    if branch is None:
+        return []
 
-    return branches
+    branch = yield from _with_folds(branch)
+    if is_loop:
+        branch = _cut_at_fold(branch)
+    branch = begun_at_flips(branch, flips)
+
+    branch = yield from densify(branch, tolerance)
+    branch = yield from without_jumps(branch.in_order(gait), gait)
+    branch = yield from checked(branch, gait)
+    if len(branch.q) < MIN_NODES:
+        return []
+    return (yield from _without_gaps(branch, gait, tolerance))
 
 
 def _loop(n: int, steps: ndarray, slope_rate: ndarray) -> ndarray:
@@ -218,30 +239,41 @@ def _located_ends(
     """The ends of a run of nodes that are steps, by its sides, 0 and 1; the branch with
     the nodes that locating them adds, and the run's first and last node between them.
     """
-    begins_run = first == 0
-    ends_run = last == len(raw.q) - 1
-    ends: dict[int, BranchEnd] = {}
-    if not ends_run:
-        raw, last = yield from narrow_segment(raw, last, is_step)
-        ends[1] = yield from locate_end(raw, last, last + 1)
+    # On each side the run's outermost node, and that beyond, if there is one.
+    sides = (first, first - 1), (last, last + 1)
+    cut = [side for side in (0, 1) if sides[side][1] in range(len(raw.q))]
+    whole = [side for side in (0, 1) if side not in cut]
+    located = yield [_cut_end(raw, *sides[side]) for side in cut]
+    limits = yield [_passed_limit(raw, side) for side in whole]
 
-    if not begins_run:
-        before = len(raw.q)
-        raw, segment = yield from narrow_segment(raw, first - 1, _is_no_step)
-        first = segment + 1
-        last += len(raw.q) - before
-        ends[0] = yield from locate_end(raw, first, segment)
+    ends = {side: end for side, end in zip(whole, limits, strict=True) if end}
+    first += 0 in ends
+    last -= 1 in ends
+    narrowed = []
+    for side, (branch, inner, end) in zip(cut, located, strict=True):
+        ends[side] = end
+        narrowed.append((min(sides[side]), branch))
+        more = len(branch.q) - len(raw.q)
+        if side == 0:
+            first, last = inner, last + more
+        else:
+            last += inner - sides[1][0]
 
-    for side, is_whole in enumerate((begins_run, ends_run)):
-        passed = None
-        if is_whole:
-            passed = yield from _passed_limit(raw, side)
-        if passed is not None:
-            ends[side] = passed
-            first += side == 0
-            last -= side == 1
+    return raw.with_nodes_of(narrowed), first, last, ends
 
-    return raw, first, last, ends
+
+def _cut_end(
+    raw: Branch, good: int, bad: int
+) -> Procedure[tuple[Branch, int, BranchEnd]]:
+    """The end between two neighbouring nodes, of which one is a step; the branch with
+    the nodes that locating it adds, and that before the end.
+    """
+    is_last = good < bad
+    like_left = is_step if is_last else _is_no_step
+    raw, left = yield from narrow_segment(raw, min(good, bad), like_left)
+    good, bad = (left, left + 1) if is_last else (left + 1, left)
+    end = yield from locate_end(raw, good, bad)
+    return raw, good, end
 
 
 def _passed_limit(raw: Branch, side: int) -> Procedure[BranchEnd | None]:
@@ -298,42 +330,53 @@ def _without_gaps(
         branch = branch.with_points(segment, point)
         steps = np.insert(steps, segment + 1, False)
 
-    branches = []
-    for first, last in _runs(steps):
-        part = yield from _with_ends(branch, first, last)
-        if part is None:
-            continue
+    parts = yield [_beside_gaps(branch, run, gait, tolerance) for run in _runs(steps)]
+    return [part for part in parts if part is not None]
 
-        part = yield from densify(part, tolerance)
-        part = yield from checked(part, gait)
-        if len(part.q) >= MIN_NODES:
-            yield from measure(part, tolerance)
-            branches.append(part)
 
-    return branches
+def _beside_gaps(
+    branch: Branch, run: tuple[int, int], gait: Gait, tolerance: float
+) -> Procedure[Branch | None]:
+    """The branch of a run of nodes that are steps, measured; None where too few nodes
+    remain.
+    """
+    part = yield from _with_ends(branch, *run)
+    if part is None:
+        return None
+
+    part = yield from densify(part, tolerance)
+    part = yield from checked(part, gait)
+    if len(part.q) < MIN_NODES:
+        return None
+
+    yield from measure(part, tolerance)
+    return part
 
 
 def _with_folds(branch: Branch) -> Procedure[Branch]:
     """Put a node on every fold, where the slope turns."""
+    turning = np.flatnonzero(np.diff(np.sign(branch.tangent[-1])) != 0).tolist()
+    with_fold = yield [_with_fold(branch, segment) for segment in turning]
+    return branch.with_nodes_of([*zip(turning, with_fold, strict=True)])
+
+
+def _with_fold(branch: Branch, segment: int) -> Procedure[Branch]:
+    """Put a node on the fold of a segment."""
+    sign = np.sign(branch.tangent[-1, segment])
 
     def slope_rate(point: Point) -> float:
         return float(point.direction[-1, 0])
 
-    turning = np.flatnonzero(np.diff(np.sign(branch.tangent[-1])) != 0)
-    for segment in turning[::-1]:
-        sign = np.sign(branch.tangent[-1, segment])
+    def is_before(point: Point) -> bool:
+        return bool(slope_rate(point) * sign > 0)
 
-        def is_before(point: Point, sign: float = sign) -> bool:
-            return bool(slope_rate(point) * sign > 0)
-
-        branch, left = yield from narrow_segment(branch, int(segment), is_before)
-        point = yield from locate_root(branch, left, slope_rate)
-        point = yield from sharpened_fold(point)
-        # A node may equal the fold to all but the last digits: between them there is no
-        # polynomial.
-        if norm(branch.Z[:, left : left + 2] - point.Z).min() > _TWIN:
-            branch = branch.with_points(left, point)
-
+    branch, left = yield from narrow_segment(branch, segment, is_before)
+    point = yield from locate_root(branch, left, slope_rate)
+    point = yield from sharpened_fold(point)
+    # A node may equal the fold to all but the last digits: between them there is no
+    # polynomial.
+    if norm(branch.Z[:, left : left + 2] - point.Z).min() > _TWIN:
+        branch = branch.with_points(left, point)
     return branch
 
 

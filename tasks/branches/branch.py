@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TypeVar
@@ -206,6 +207,26 @@ class Branch:
         """
         after = np.atleast_1d(segments) + 1
         return self.insert(after, point.Z, point.direction)
+
+    def with_nodes_of(self, others: Sequence[tuple[int, Branch]]) -> Branch:
+        """Branch with the nodes that others have more than it on one segment each, and
+        nothing measured yet.
+
+        Parameters
+        ----------
+        others : sequence of (int, Branch)
+            Different segments, rising, and branches that have all of its nodes.
+        """
+        branch = self
+        # From the last on: what is inserted moves nothing before it.
+        for segment, other in reversed(others):
+            after = segment + 1
+            more = len(other.q) - len(self.q)
+            new = slice(after, after + more)
+            places = np.full(more, after)
+            branch = branch.insert(places, other.Z[:, new], other.tangent[:, new])
+
+        return branch
 
     def _of_nodes(
         self,

@@ -15,11 +15,7 @@ from gaitsweep.tasks.branches.branch import Branch
 from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.lockstep import Call, Procedure
 from gaitsweep.tasks.branches.pseudo_arclength import NO_FURTHER
-from gaitsweep.tasks.branches.tracking import (
-    ONE_STEP,
-    correct,
-    correct_and_evaluate,
-)
+from gaitsweep.tasks.branches.tracking import ONE_STEP, correct
 from gaitsweep.tasks.mechanics.arrays import Gait, Numbers
 from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.lanes import lanes_of
@@ -89,7 +85,7 @@ def _split(branch: Branch, segments: Numbers) -> Procedure[Branch]:
 
     Z = np.hstack(middles)
     border = branch.between(segments)
-    point = yield Call(correct_and_evaluate, (Z, border))
+    point = yield Call(correct, (Z, border))
     kept = point.ok & branch.lies_between(segments, point.Z)
     new = lanes_of(point.oriented(border), kept)
     return branch.with_points(segments[kept], new)

@@ -14,6 +14,8 @@ from gaitsweep.tasks.branches.conditions import CONDITIONS
 from gaitsweep.tasks.branches.lockstep import Call, Procedure
 from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.branches.segment import (
+    Known,
+    correct_all_at,
     correct_at,
     is_step,
     locate_root,
@@ -58,8 +60,9 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     """
     segment = min(good, bad)
     axis = branch.axis[segment]
-    at_good = yield from correct_at(branch, segment, branch.Z[axis, good])
-    at_bad = yield from correct_at(branch, segment, branch.Z[axis, bad])
+    nodes = branch.Z[axis, [good, bad]].tolist()
+    known: Known = {}
+    at_good, at_bad = yield from correct_all_at(branch, segment, nodes, known)
     has_knee = len(at_good.at.stride.one.knee) > 0
     ends: list[tuple[float, BranchEnd]] = []
     for condition in _ENDS:
@@ -68,7 +71,7 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
 
         test = value_of(condition)
         if test(at_good) * test(at_bad) < 0:
-            point = yield from locate_root(branch, segment, test)
+            point = yield from locate_root(branch, segment, test, known)
             # In the coordinate in which the segment is monotone: all others turn where
             # kneestrike is tangential.
             apart = abs(float(point.Z[axis, 0] - branch.Z[axis, good]))
@@ -77,13 +80,13 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     if ends:
         _, end = min(ends, key=lambda located: located[0])
         if (yield from _walks_up_to(branch, good, segment, end)):
-            return (yield from _with_a_kneestrike(branch, segment, end))
+            return (yield from _with_a_kneestrike(branch, segment, end, known))
 
     return (yield from _earlier_strike_end(branch, segment, good, bad))
 
 
 def _with_a_kneestrike(
-    branch: Branch, segment: int, end: BranchEnd
+    branch: Branch, segment: int, end: BranchEnd, known: Known
 ) -> Procedure[BranchEnd]:
     """Where the knee strikes as soon as it is released, the end at the earliest
     kneestrike that rounding resolves.
@@ -97,7 +100,7 @@ def _with_a_kneestrike(
     if end.kind != "end_tangential_kneestrike" or beyond_earliest(end.point) > 0:
         return end
 
-    earliest = yield from locate_root(branch, segment, beyond_earliest)
+    earliest = yield from locate_root(branch, segment, beyond_earliest, known)
     off = earliest.at.q[0] - end.point.at.q[0]
     return BranchEnd(end.kind, earliest, abs(float(off)))
 
@@ -129,33 +132,30 @@ def _earlier_strike_end(
     zero.
     """
     axis = branch.axis[segment]
-    nodes = branch.Z[axis, good], branch.Z[axis, bad]
+    begin, end = branch.Z[axis, [good, bad]].tolist()
     # Bisection by whether the step happens brackets the point; the guard's minimum is
     # smooth only near it.
-    a, b = yield from _bisect(branch, segment, *nodes, 8)
-    at_a = yield from _distance_at(branch, segment, a)
-    at_b = yield from _distance_at(branch, segment, b)
-    if np.isfinite([at_a, at_b]).all() and at_a * at_b < 0:
-        root = yield from search_segment(branch, segment, a, b, _distance)
-        point = yield from correct_at(branch, segment, root)
+    a, b = yield from _bisect(branch, segment, begin, end, 8)
+    known: Known = {}
+    points = yield from correct_all_at(branch, segment, (a, b), known)
+    at_a, at_b = yield [*map(_distance, points)]
+    if np.isfinite(at_a - at_b) and at_a * at_b < 0:
+        point = yield from search_segment(branch, segment, (a, b), _distance, known)
         # The value at half as many samples shows the error of the cubic's minimum.
         coarse = yield from _distance(point, _SAMPLES // 2)
-        error = abs(coarse / (at_b - at_a) * (b - a))
+        error = coarse / (at_b - at_a) * (b - a)
     else:
         # Only samples locate it: as many as points are verified with, and finer ones to
         # show the error.
-        a, _ = yield from _bisect(branch, segment, a, b, 40)
-        fine, _ = yield from _bisect(branch, segment, *nodes, 48, _is_step_finely)
+        (a, _), (fine, _) = yield [
+            _bisect(branch, segment, a, b, 40),
+            _bisect(branch, segment, begin, end, 48, _is_step_finely),
+        ]
         point = yield from correct_at(branch, segment, a)
         error = 2 * (fine - a)
 
     slope_rate = float(point.direction[-1, 0] / point.direction[axis, 0])
     return BranchEnd("end_earlier_strike", point, abs(error * slope_rate))
-
-
-def _distance_at(branch: Branch, segment: int, x: float) -> Procedure[float]:
-    point = yield from correct_at(branch, segment, x)
-    return (yield from _distance(point))
 
 
 def _distance(point: Point, samples: int = _SAMPLES) -> Procedure[float]:

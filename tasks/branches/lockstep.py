@@ -2,9 +2,11 @@
 computed in common batches.
 
 A procedure is a generator. Where it needs the step map it yields a `Call`, and goes on
-with the call's result. What many procedures ask for at the same time is computed in one
-batch, each lane with the walker of its procedure; a lane's bits do not depend on the
-others, so neither does what a procedure returns.
+with the call's result; where several others can do parts of its work at the same time it
+yields a list of these, and goes on with the list of what they return. What many
+procedures ask for at the same time is computed in one batch, each lane with the walker
+of its procedure; a lane's bits do not depend on the others, so neither does what a
+procedure returns.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ class Call(NamedTuple):
     options: tuple[tuple[str, Any], ...] = ()
 
 
-Procedure = Generator[Call, Any, Result]
+#: What it yields is a `Call`, or a list of procedures.
+Procedure = Generator[Call | list[Any], Any, Result]
 
 
 def run(problem: Problem, procedure: Procedure[Result]) -> Result:
@@ -61,31 +64,77 @@ def side_by_side(
     list
         What each returns.
     """
-    results: dict[int, Result] = {}
-    pending: dict[int, Call] = {}
+    running = _Running(procedures)
+    while pending := running.pending:
+        running.pending = {}
+        alike: dict[tuple[Any, ...], list[_Place]] = {}
+        for place, call in pending.items():
+            alike.setdefault((call.function, call.options), []).append(place)
 
-    def advance(number: int, value: Any) -> None:
+        for places in alike.values():
+            of_lines = [lines[first] for first, *_ in places]
+            calls = [pending[place] for place in places]
+            parts = _in_one_batch(problem, of_lines, calls)
+            for place, part in zip(places, parts, strict=True):
+                running.advance(place, part)
+
+    return running.returned
+
+
+#: The number of a procedure, then its number among those that it was yielded with, and
+#: so on.
+_Place = tuple[int, ...]
+
+
+class _Running:
+    """Procedures on their way, by their places, and the calls that they wait for."""
+
+    def __init__(self, procedures: Sequence[Procedure[Any]]):
+        self.pending: dict[_Place, Call] = {}
+        self.returned: list[Any] = []
+        self._procedures: dict[_Place, Procedure[Any]] = {}
+        self._results: dict[_Place, list[Any]] = {}
+        self._left: dict[_Place, int] = {}
+        self._begin((), procedures)
+
+    def advance(self, place: _Place, value: Any) -> None:
+        """Go on with a procedure, by what it waited for."""
         try:
-            pending[number] = procedures[number].send(value)
+            asked = self._procedures[place].send(value)
         except StopIteration as end:
-            results[number] = end.value
+            self._finish(place, end.value)
+            return
 
-    for number in range(len(procedures)):
-        advance(number, None)
-    while pending:
-        alike: dict[tuple[Any, ...], list[int]] = {}
-        for number, call in pending.items():
-            alike.setdefault((call.function, call.options), []).append(number)
-        calls, pending = pending, {}
-        for numbers in alike.values():
-            of_lines = [lines[number] for number in numbers]
-            parts = _in_one_batch(
-                problem, of_lines, [calls[number] for number in numbers]
-            )
-            for number, part in zip(numbers, parts, strict=True):
-                advance(number, part)
+        if isinstance(asked, Call):
+            self.pending[place] = asked
+        else:
+            self._begin(place, asked)
 
-    return [results[number] for number in range(len(procedures))]
+    def _begin(self, place: _Place, procedures: Sequence[Procedure[Any]]) -> None:
+        """Begin the procedures for which that at a place waits."""
+        n = len(procedures)
+        self._results[place], self._left[place] = [None] * n, n
+        if not n:
+            self._go_on(place)
+        for number, procedure in enumerate(procedures):
+            self._procedures[*place, number] = procedure
+            self.advance((*place, number), None)
+
+    def _finish(self, place: _Place, result: Any) -> None:
+        *within, number = place
+        parent = tuple(within)
+        self._results[parent][number] = result
+        self._left[parent] -= 1
+        if not self._left[parent]:
+            self._go_on(parent)
+
+    def _go_on(self, place: _Place) -> None:
+        """Go on where all have returned that a procedure waited for."""
+        results = self._results.pop(place)
+        if place:
+            self.advance(place, results)
+        else:
+            self.returned = results
 
 
 def _in_one_batch(

@@ -41,8 +41,8 @@ class Newton:
     """When bordered Newton ends.
 
     A lane is lost after `max_iterations`, or a step larger than `max_step`. It has
-    converged after a step that is rounding or `enough`, or after one below `small` that
-    is larger than `shrinking` times the one before.
+    converged after a step that is rounding, or `enough` in all coordinates, or after one
+    below `small` that is larger than `shrinking` times the one before.
     """
 
     max_iterations: int
@@ -231,7 +231,7 @@ class _BorderedNewton:
         moving = size <= self.limits.max_step
         self.Z[:, lanes[moving]] += change[:, moving]
         self.rounding[lanes] = self.rounding_step(matrix, system)
-        ended = self._ended(lanes, size)
+        ended = self._ended(lanes, size, change)
         self.grown[lanes] = size > self.size[lanes]
         self.size[lanes] = size
 
@@ -250,10 +250,13 @@ class _BorderedNewton:
         else:
             replace_lanes(self.at, lanes, system)
 
-    def _ended(self, lanes: Numbers, size: PerLane) -> ndarray:
-        """Why lanes end after steps of some sizes, or that they go on."""
+    def _ended(self, lanes: Numbers, size: PerLane, change: Coordinates) -> ndarray:
+        """Why lanes end after steps of some sizes, or that they go on; what only leads
+        to others is accurate enough by the largest change of all coordinates.
+        """
         limits = self.limits
-        at_rest = size <= np.maximum(self.rounding[lanes], limits.enough)
+        largest = np.abs(change).max(axis=0)
+        at_rest = (size <= self.rounding[lanes]) | (largest <= limits.enough)
         shrinks = size <= limits.shrinking * self.size[lanes]
         is_last = at_rest | ((size < limits.small) & ~shrinks)
         ended = np.where(is_last, Ended.CONVERGED, Ended.RUNNING)
@@ -441,10 +444,11 @@ class Tracks(ABC):
             last = self.Z[:, active], self.tangent[:, active]
             point, fair = self.advance(active)
             new = active[fair]
-            last = lanes_of(last, fair)
+            if not fair.all():
+                point, last = lanes_of((point, last), fair)
             self.record(new)
 
-            self.stop[new] = self.reasons(new, lanes_of(point, fair), last[0])
+            self.stop[new] = self.reasons(new, point, last[0])
             too_many = (self.stop[new] == "") & (self.count[new] >= most)
             self.stop[new[too_many]] = TOO_MANY
             # Whatever lies beyond: it has been there.

@@ -195,13 +195,8 @@ def locate_gaps(
     turns = np.flatnonzero(np.diff(check.hyperextends) & between_steps)
     searched += [(float(i), i + 1.0, _where_the_knee_turns) for i in turns]
 
-    gaps: set[float] = set()
-    for low, high, narrow in searched:
-        gap = yield from _gap_between(branch, low, high, narrow)
-        if gap is not None:
-            gaps.add(gap)
-
-    return sorted(gaps)
+    gaps = yield [_gap_between(branch, *each) for each in searched]
+    return sorted({gap for gap in gaps if gap is not None})
 
 
 def _least_distances(branch: Branch, distance: ndarray, steps: ndarray) -> ndarray:

@@ -6,8 +6,9 @@ All are procedures, which run side by side (`tasks.branches.lockstep`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.lockstep import Call, Procedure
 from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.branches.root import root_search
-from gaitsweep.tasks.branches.tracking import check_steps, correct_and_evaluate
+from gaitsweep.tasks.branches.tracking import check_steps, correct
 from gaitsweep.tasks.mechanics.arrays import Coordinates
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step import extended_precision
@@ -36,13 +37,27 @@ _MAX_SPLITS, _MAX_PREDICTION_ERROR = 12, 1e-3
 _SHARP = 1e-13
 
 
+#: Corrected points of a segment, by their coordinates on it.
+Known = dict[float, Point]
+
+
 def value_of(condition: Condition) -> Callable[[Point], float]:
     """Return how far a condition is from being fulfilled, as a test function."""
     return lambda point: float(condition.residual(point.at)[0])
 
 
-def correct_at(branch: Branch, segment: int, x: float) -> Procedure[Point]:
+def correct_at(
+    branch: Branch,
+    segment: int,
+    x: float,
+    known: Mapping[float, Point] = MappingProxyType({}),
+) -> Procedure[Point]:
     """Correct the point at coordinate x of a segment.
+
+    Parameters
+    ----------
+    known : mapping, optional
+        Points of the segment: the polynomial is as far off as at the nearest of them.
 
     Returns
     -------
@@ -51,31 +66,60 @@ def correct_at(branch: Branch, segment: int, x: float) -> Procedure[Point]:
     """
     segments = np.array([segment])
     Z = branch.evaluate(segments, np.array([x]))
+    solved = [other for other, point in known.items() if point.ok[0]]
+    if solved:
+        nearest = min(solved, key=lambda other: abs(other - x))
+        Z += known[nearest].Z - branch.evaluate(segments, np.array([nearest]))
+
     direction = branch.between(segments)
-    point = yield Call(correct_and_evaluate, (Z, direction))
+    point = yield Call(correct, (Z, direction))
     return point.oriented(direction)
 
 
 def search_segment(
-    branch: Branch, segment: int, a: float, b: float, test: TestFunction
-) -> Procedure[float]:
+    branch: Branch,
+    segment: int,
+    between: tuple[float, float],
+    test: TestFunction,
+    known: Known,
+) -> Procedure[Point]:
     """Find the root of a test function, or of a procedure, between two coordinates of a
     segment, to rounding.
+
+    Parameters
+    ----------
+    known : dict
+        Points that are corrected already, to which those of the search are added.
 
     Raises
     ------
     ValueError
         Where it has the same sign at both.
     """
+    a, b = between
+    yield from correct_all_at(branch, segment, between, known)
     search = root_search(a, b, 1e-15 * max(1.0, abs(a)))
     x = next(search)
     while True:
-        point = yield from correct_at(branch, segment, x)
-        value = yield from _outcome(test(point))
+        if x not in known:
+            known[x] = yield from correct_at(branch, segment, x, known)
+        value = yield from _outcome(test(known[x]))
         try:
             x = search.send(value)
         except StopIteration as end:
-            return float(end.value)
+            return known[float(end.value)]
+
+
+def correct_all_at(
+    branch: Branch, segment: int, places: Sequence[float], known: Known
+) -> Procedure[list[Point]]:
+    """Correct the points at some coordinates of a segment, but those that are known, to
+    which the others are added.
+    """
+    new = [x for x in places if x not in known]
+    found = yield [correct_at(branch, segment, x) for x in new]
+    known.update(zip(new, found, strict=True))
+    return [known[x] for x in places]
 
 
 def _outcome(value: Any) -> Procedure[Any]:
@@ -85,7 +129,9 @@ def _outcome(value: Any) -> Procedure[Any]:
     return value
 
 
-def locate_root(branch: Branch, segment: int, test: TestFunction) -> Procedure[Point]:
+def locate_root(
+    branch: Branch, segment: int, test: TestFunction, known: Known | None = None
+) -> Procedure[Point]:
     """Locate the root of a test function on a segment over which it changes sign, to
     rounding.
 
@@ -95,16 +141,13 @@ def locate_root(branch: Branch, segment: int, test: TestFunction) -> Procedure[P
         Of one lane, its tangent along the branch.
     """
     a, b = branch.ends_of(np.array(segment)).tolist()
+    known = {} if known is None else known
     try:
-        root = yield from search_segment(branch, segment, a, b, test)
+        return (yield from search_segment(branch, segment, (a, b), test, known))
     except ValueError:
         # The values at the nodes differ in sign by rounding only: the end nearer zero
         # is the root.
-        at_a = yield from correct_at(branch, segment, a)
-        at_b = yield from correct_at(branch, segment, b)
-        root = a if abs(test(at_a)) < abs(test(at_b)) else b
-
-    return (yield from correct_at(branch, segment, root))
+        return min(known[a], known[b], key=lambda point: abs(test(point)))
 
 
 def point_at_slope(branch: Branch, segment: int, q: float) -> Procedure[Point | None]:

@@ -41,12 +41,17 @@ from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.several_steps import sections
 from gaitsweep.tasks.step.simulate import MAX_LOG_ANGLE
+from gaitsweep.tasks.step.step_map import SAMPLES
 from gaitsweep.tasks.step.verify_step import StepCheck
 
 #: Slopes over which branches are followed [rad]: at the least, rounding changes
 #: tangents by parts in a thousand.
 MIN_SLOPE, MAX_SLOPE = SLOPES[0], 0.7
 _NEWTON = Newton(max_iterations=8, max_step=1.0, small=1e-9, shrinking=0.2)
+#: Newton step after which a point of a track is accurate enough: the next, about its
+#: square, is taken for all points together. Before a fall, where the duration grows
+#: without bound, a larger one would leave errors for which steps must be short.
+_ENOUGH = 1e-10
 #: Steps of branches turn by at most 0.3 rad; what is kept near its target is the
 #: distance from the predicted point.
 _CONTROL = StepControl(
@@ -84,6 +89,8 @@ def correct(
     Z: Coordinates,
     border: Coordinates | None,
     max_iterations: int = 8,
+    enough: float = 0.0,
+    samples: int = 0,
 ) -> Point:
     """Correct points by bordered Newton: the solutions in the plane through them normal
     to `border`.
@@ -96,6 +103,11 @@ def correct(
         None for solutions at fixed slope.
     max_iterations : int
         Newton steps.
+    enough : float
+        Size of a Newton step after which a point that only leads to others is accurate
+        enough.
+    samples : int
+        Of the motion, as for `evaluate`.
 
     Returns
     -------
@@ -106,9 +118,9 @@ def correct(
         border[-1] = 1
 
     def linearise(lanes: Numbers, Z: Coordinates) -> Evaluation:
-        return evaluate(problem.some(lanes), Z)
+        return evaluate(problem.some(lanes), Z, samples)
 
-    limits = replace(_NEWTON, max_iterations=max_iterations)
+    limits = replace(_NEWTON, max_iterations=max_iterations, enough=enough)
     found = bordered_newton(
         linearise, rounding_step, limits, Z, border, but_times(problem.m)
     )
@@ -116,11 +128,10 @@ def correct(
     return replace(found, at=replace(found.at, Z=found.Z))
 
 
-def correct_and_evaluate(
+def refine_and_check(
     problem: Problem, Z: Coordinates, border: Coordinates
-) -> Point:
-    """Correct points; the corrector's derivative is that before its last step, this
-    one's that at the point itself.
+) -> tuple[Point, StepCheck]:
+    """Correct points of tracks by one Newton step more, and verify that they are steps.
 
     Parameters
     ----------
@@ -130,12 +141,18 @@ def correct_and_evaluate(
 
     Returns
     -------
-    Point
+    point : Point
+        Where a point has no better one, or that is farther than points of tracks may be
+        off, it is the point itself.
+    check : StepCheck
     """
-    point = correct(problem, Z, border)
-    at_point = correct(problem, point.Z, border, max_iterations=1)
-    at_point.ok = point.ok
-    return at_point
+    point = correct(problem, Z, border, max_iterations=1, samples=SAMPLES)
+    _, check = verify_steps(problem, Z[:-1], Z[-1], point.at.stride)
+    is_better = point.last_step < _ENOUGH
+    refined = point.oriented(border)
+    refined.Z = np.where(is_better, point.Z, Z)
+    refined.direction = np.where(is_better, refined.direction, border)
+    return refined, check
 
 
 def _stop_reasons(point: Point) -> ndarray:
@@ -156,7 +173,11 @@ def _stop_reasons(point: Point) -> ndarray:
         "end_zero_step": no_step | vanished,
         "heelstrike before kneestrike": early,
     }
-    return np.select(list(tests.values()), list(tests), "").astype(object)
+    why = np.full(len(q), "", object)
+    # Of several reasons the first counts.
+    for name, holds in reversed(tests.items()):
+        why[holds] = name
+    return why
 
 
 def _leave_the_drive(point: Point) -> PerLane:
@@ -344,7 +365,8 @@ class _Branches(Tracks):
     def correct(
         self, tracks: Numbers, guess: Coordinates, border: Coordinates
     ) -> Point:
-        return correct(self.problem.some(tracks), guess, border)
+        problem = self.problem.some(tracks)
+        return correct(problem, guess, border, enough=_ENOUGH)
 
     def judge(
         self, tracks: Numbers, point: Point, guess: Coordinates, error: PerLane

@@ -63,7 +63,7 @@ TASKS = {
         Task(
             "atlas",
             "gaitsweep.tasks.studies.solve_points:atlas",
-            34,
+            35,
             side_by_side="gaitsweep.tasks.studies.solve_points:lines",
             over_plane="gaitsweep.tasks.studies.solve_planes:lines",
         ),
@@ -73,8 +73,8 @@ TASKS = {
             33,
             needs=("atlas",),
         ),
-        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 4),
-        Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 12),
+        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 5),
+        Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 13),
         Task(
             "trace", "gaitsweep.tasks.studies.trace_motion:trace", 7, needs=("atlas",)
         ),
@@ -93,17 +93,17 @@ TASKS = {
         Task(
             "cascade",
             "gaitsweep.tasks.studies.locate_cascade:cascade",
-            23,
+            24,
             needs=("atlas",),
         ),
         Task("basin", "gaitsweep.tasks.studies.map_basin:basin", 13, needs=("atlas",)),
         Task(
             "curve", "gaitsweep.tasks.studies.follow_curves:curve", 33, needs=("atlas",)
         ),
-        Task("design", "gaitsweep.tasks.studies.map_designs:design", 27),
-        Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 3),
-        Task("census", "gaitsweep.tasks.studies.count_gaits:census", 18),
-        Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 2),
+        Task("design", "gaitsweep.tasks.studies.map_designs:design", 28),
+        Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 4),
+        Task("census", "gaitsweep.tasks.studies.count_gaits:census", 19),
+        Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 3),
         Task(
             "scaling", "gaitsweep.tasks.studies.fit_laws:scaling", 6, needs=("points",)
         ),
@@ -116,13 +116,13 @@ TASKS = {
         Task(
             "landmarks",
             "gaitsweep.tasks.ledger.locate_landmarks:landmarks",
-            10,
+            11,
             needs=("atlas",),
         ),
         Task(
             "corners",
             "gaitsweep.tasks.ledger.locate_landmarks:corners",
-            7,
+            8,
             needs=("atlas",),
         ),
         Task(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from gaitsweep.tasks.mechanics.arrays import (
 )
 from gaitsweep.tasks.mechanics.sums import matvec, total
 from gaitsweep.tasks.step.iterate import Ended, iterate
+from gaitsweep.tasks.step.lanes import parts_of
 from gaitsweep.tasks.step.problem import Problem, joint_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
 
@@ -40,6 +41,8 @@ _BESIDE = 1e-2
 #: changes over one by no more than this, relative: steps that almost end in a fall are
 #: far more curved than others.
 _DIFFERENCES, _MAX_CHANGE = (1e-4, 1e-7, 1e-10), 0.5
+#: Steps evaluated at a time, so that many gaits of many steps find room.
+_MOST_STEPS = 1 << 14
 #: The same of the characteristic polynomial, whose roots grow without bound beside
 #: strikes that turn tangential.
 _MAX_STEEPNESS = 0.05
@@ -284,21 +287,39 @@ def _curvature(
     # divide columns by the same.
     size = joint_sizes(base.y, problem.phases)
 
-    lipschitz = np.zeros(w.shape[1])
+    k, n = w.shape
+    lipschitz = np.zeros(n)
     gradient = np.zeros((len(base.jacobian), *w.shape))
-    for i in range(len(w)):
-        moved = w.copy()
-        moved[i] += h
-        stride, _ = problem.stride(moved, log_slope)
-        change = (stride.derivative - base.derivative)[:, : len(w)] / h
+    for i, derivative, moved_to in _beside(problem, w, log_slope, h):
+        change = (derivative - base.derivative)[:, :k] / h
         moved_by = matvec(base.inverse[:, :, None], change)
         lipschitz = np.maximum(lipschitz, _row_sum_norm(moved_by, size))
-        gradient[:, i] = (characteristic(stride.jacobian) - polynomial) / h
+        gradient[:, i] = (moved_to - polynomial) / h
 
     # Multipliers near zero have no size of their own: then 1 is their scale.
     scale = np.maximum(_largest(polynomial), 1.0)
     steepness = _largest(np.concatenate(gradient)) * h / scale
     return lipschitz, gradient / characteristic_scale(base)[:, None], steepness
+
+
+def _beside(
+    problem: Problem, w: Unknowns, log_slope: LogSlopes, h: float
+) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """The derivative of the joint equations and the characteristic polynomial at w moved
+    by h in each direction, many of these side by side.
+    """
+    k, n = w.shape
+    for part in parts_of(k, _MOST_STEPS // (n * problem.steps)):
+        directions = np.arange(k)[part]
+        lanes = np.tile(np.arange(n), len(directions))
+        moved = w[:, lanes]
+        moved[np.repeat(directions, n), np.arange(len(lanes))] += h
+
+        stride, _ = problem.some(lanes).stride(moved, log_slope[lanes])
+        polynomials = characteristic(stride.jacobian)
+        for place, i in enumerate(directions.tolist()):
+            some = slice(place * n, (place + 1) * n)
+            yield i, stride.derivative[..., some], polynomials[:, some]
 
 
 def _row_sum_norm(matrices: np.ndarray, size: np.ndarray) -> PerLane:

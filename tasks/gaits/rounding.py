@@ -16,6 +16,7 @@ from gaitsweep.tasks.mechanics.arrays import (
     Unknowns,
 )
 from gaitsweep.tasks.mechanics.sums import matvec, norm, total
+from gaitsweep.tasks.step.lanes import lanes_of, parts_of
 from gaitsweep.tasks.step.problem import EPS, Problem, residual_sizes, scale_of, sizes
 from gaitsweep.tasks.step.several_steps import AnyStride
 
@@ -115,6 +116,8 @@ def characteristic_scale(stride: AnyStride) -> ndarray:
 #: Units in which a step is evaluated to see how it rounds; a number divisible by
 #: fifteen is exact in each.
 UNITS = (1.0, 0.75, 1.25, 0.9375)
+#: Steps evaluated at a time, so that many gaits of many steps find room.
+_MOST_STEPS = 1 << 14
 #: Distance of neighbouring states: enough to round differently, and near enough to the
 #: gait even for long steps.
 _NEIGHBOUR = 1e-11
@@ -168,12 +171,30 @@ def rounding_std(
     -----
     Measured, not estimated: a step is evaluated in several units, in each of which every operation rounds anew.
     """
-    variances = []
-    for neighbour in range(near):
-        moved = w.copy()
-        moved[0] += _NEIGHBOUR * neighbour
-        variances.append(_variance(problem, moved, np.exp(log_slope)))
+    of_each = near * len(UNITS) * problem.steps
+    parts = []
+    for some in parts_of(w.shape[1], _MOST_STEPS // of_each):
+        lanes = problem.some(some)
+        part = _rounding_std(lanes, w[:, some], log_slope[some], near)
+        parts.append(part)
 
+    return np.hstack(parts)
+
+
+def _rounding_std(
+    problem: Problem, w: Unknowns, log_slope: LogSlopes, near: int
+) -> ndarray:
+    """What `rounding_std` returns, with all states side by side."""
+    n = w.shape[1]
+    lanes = np.tile(np.arange(n), near)
+    neighbour = np.repeat(np.arange(near), n)
+    moved = w[:, lanes]
+    moved[0] += _NEIGHBOUR * neighbour
+
+    slope = np.exp(log_slope[lanes])
+    of_all = _variance(problem.some(lanes), moved, slope)
+    by_state = of_all.reshape(-1, near, n)
+    variances = by_state.swapaxes(0, 1)
     known = np.isfinite(variances)
     summed = total(np.where(known, variances, 0.0))
     return np.sqrt(summed / known.sum(axis=0))
@@ -181,32 +202,53 @@ def rounding_std(
 
 def _variance(problem: Problem, w: Unknowns, slope: Slopes) -> ndarray:
     """Variances of what `rounding_std` measures, at one state of each gait."""
+    n = w.shape[1]
+    stride, values, by_unknowns = _in_all_units(problem, w, slope)
+    coefficients = characteristic(stride.jacobian)
+
+    unit = np.repeat(UNITS, n)
+    of_all = _in_units(values, unit, coefficients)
+    by_unit = of_all.reshape(-1, len(UNITS), n)
+    found = by_unit.swapaxes(0, 1)
+    mean = total(found) / len(UNITS)
+    off = found - mean
+
+    # The sensitivity is the same in all units but for rounding: the last serves.
+    last = slice(len(unit) - n, None)
+    in_last = lanes_of(stride, last)
+    by_image = sensitivity(in_last, values[:, last], by_unknowns[..., last])
+    of_coefficients = characteristic_scale(in_last)
+    scale = _in_units(by_image, UNITS[-1], of_coefficients)
+
+    variance = total(off * off) / (len(UNITS) - 1)
+    return np.asarray(variance / scale**2)
+
+
+def _in_all_units(
+    problem: Problem, w: Unknowns, slope: Slopes
+) -> tuple[AnyStride, ndarray, ndarray]:
+    """Steps of gaits (m + phases, n) in one unit after another, what is reported of
+    them, and its derivatives.
+    """
     m = problem.m
     angle = np.exp(w[0])
     power = scale_of(angle)
     section = np.vstack([angle, angle * w[1:m]])
     y = by_fifteen(section / power)
-    found = []
-    for unit in UNITS:
-        parameters = problem.parameters(slope, power * unit)
-        stride = problem.map(y / unit, w[m:], parameters)
-        at_gait = stride.y + stride.newton
-        _, values, by_unknowns = reported(
-            problem, at_gait, stride.newton_times, parameters
-        )
-        coefficients = characteristic(stride.jacobian)
-        found.append(_in_units(values, unit, coefficients))
 
-    off = found - total(found) / len(UNITS)
-    # The sensitivity is the same in all units but for rounding: the last serves.
-    by_image = sensitivity(stride, values, by_unknowns)
-    of_coefficients = characteristic_scale(stride)
-    scale = _in_units(by_image, unit, of_coefficients)
-    variance = total(off * off) / (len(UNITS) - 1)
-    return np.asarray(variance / scale**2)
+    n = w.shape[1]
+    lanes = np.tile(np.arange(n), len(UNITS))
+    unit = np.repeat(UNITS, n)
+    scale = power[lanes] * unit
+    parameters = problem.some(lanes).parameters(slope[lanes], scale)
+    stride = problem.map(y[:, lanes] / unit, w[m:, lanes], parameters)
+
+    at_gait = stride.y + stride.newton
+    _, values, by_unknowns = reported(problem, at_gait, stride.newton_times, parameters)
+    return stride, values, by_unknowns
 
 
-def _in_units(values: ndarray, unit: float, coefficients: ndarray) -> ndarray:
+def _in_units(values: ndarray, unit: float | ndarray, coefficients: ndarray) -> ndarray:
     """Angle and rates in a unit, the period, and coefficients below them."""
     return np.vstack([values[:-1] * unit, values[-1:], coefficients])
 

@@ -4,6 +4,8 @@ sequence to distribute states.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy import ndarray
 
@@ -13,6 +15,7 @@ from gaitsweep.tasks.contract.registry import GAITS
 from gaitsweep.tasks.gaits.labels import places
 from gaitsweep.tasks.gaits.polish import Polished
 from gaitsweep.tasks.gaits.step_check import gait_ratio
+from gaitsweep.tasks.step.lanes import join_lanes, lanes_of, slices
 from gaitsweep.tasks.step.problem import Problem
 
 #: What is said of a slope without a gait that was found and verified.
@@ -60,16 +63,11 @@ def labelled(
     """
     found = []
     keys = []
-    for branch in branches:
-        for index, Z, segment in branch.guesses(np.log(slope)):
-            guesses = branch.known_guesses(Z, segment, slope[index])
-            at = settle_on_branches(problem, guesses, [(problem, branch, segment)])
-            verified = at.converged & at.step
-            found.append((index, verified, at))
-
-            key = np.full((2, len(slope)), np.nan)
-            key[:, index] = _angles_and_ratios(at, Z, branch.ratio_on(segment))
-            keys.append(key)
+    for branch, index, Z, segment, at in _settled(problem, branches, slope):
+        found.append((index, at.converged & at.step, at))
+        key = np.full((2, len(slope)), np.nan)
+        key[:, index] = _angles_and_ratios(at, Z, branch.ratio_on(segment))
+        keys.append(key)
 
     angles, ratios = np.reshape(keys, (-1, 2, len(slope))).swapaxes(0, 1)
     parts = []
@@ -78,6 +76,29 @@ def labelled(
         parts.append((index, np.where(verified, place[index], -1), at))
 
     return parts
+
+
+def _settled(
+    problem: Problem, branches: list[Branch], slope: ndarray
+) -> Iterator[tuple[Branch, ndarray, ndarray, ndarray, Polished]]:
+    """Of each piece of a branch the indices of the slopes that it covers, its points
+    there, their segments, and the gaits settled from these, all side by side.
+    """
+    pieces = []
+    guesses = []
+    for branch in branches:
+        for index, Z, segment in branch.guesses(np.log(slope)):
+            pieces.append((branch, index, Z, segment))
+            guesses.append(branch.known_guesses(Z, segment, slope[index]))
+
+    if not pieces:
+        return
+
+    spots = [(problem, branch, segment) for branch, *_, segment in pieces]
+    settled = settle_on_branches(problem, join_lanes(guesses), spots)
+    lanes = slices([len(index) for _, index, *_ in pieces])
+    for piece, some in zip(pieces, lanes, strict=True):
+        yield *piece, lanes_of(settled, some)
 
 
 def _angles_and_ratios(at: Polished, Z: ndarray, ratio: ndarray) -> ndarray:

@@ -75,6 +75,12 @@ def slices(counts: Sequence[int]) -> list[slice]:
     return [slice(end - count, end) for count, end in zip(counts, ends, strict=True)]
 
 
+def parts_of(n: int, most: int) -> list[slice]:
+    """Return the parts of n lanes, each of so many at most, and of one at least."""
+    size = max(1, most)
+    return [slice(first, first + size) for first in range(0, n, size)]
+
+
 def _fields(result: Any) -> dict[str, Any]:
     return {
         field.name: getattr(result, field.name) for field in dataclasses.fields(result)

@@ -150,7 +150,7 @@ class Strides:
     @functools.cached_property
     def _moved(self) -> ndarray:
         """Newton step of y and the event times, shape (m + k, n)."""
-        return matvec(self.inverse, self.residual)
+        return -_solution(self.derivative[:, :-1], self.residual)
 
     @property
     def newton(self) -> ndarray:
@@ -200,6 +200,24 @@ def _inverse(matrices: ndarray) -> ndarray:
     regular[regular] = np.linalg.det(each[regular]) != 0
     out[regular] = np.linalg.inv(each[regular])
     return out.transpose(1, 2, 0)
+
+
+def _solution(matrices: ndarray, right: ndarray) -> ndarray:
+    """Solutions (i, n) of systems with matrices (i, i, n); NaN where there is none."""
+    each = matrices.transpose(2, 0, 1)
+    out = np.full(right.T.shape, np.nan)
+    regular = np.isfinite(each).all(axis=(1, 2))
+    try:
+        out[regular] = _solve(each[regular], right.T[regular])
+    except np.linalg.LinAlgError:  # one of them is singular to the last digit
+        regular[regular] = np.linalg.det(each[regular]) != 0
+        out[regular] = _solve(each[regular], right.T[regular])
+    return out.T
+
+
+def _solve(matrices: ndarray, right: ndarray) -> ndarray:
+    """Solutions (n, i) of systems with matrices (n, i, i)."""
+    return np.linalg.solve(matrices, right[..., None])[..., 0]
 
 
 class StepSequence:
@@ -273,8 +291,10 @@ class StepSequence:
             ]
         )
 
-        # Lanes of differences share most of their steps.
-        inputs, place = np.unique(inputs, axis=1, return_inverse=True)
+        # Lanes of differences share most of their steps; those of others none.
+        place = np.arange(s * n)
+        if len(np.unique(inputs[0])) < s * n:
+            inputs, place = np.unique(inputs, axis=1, return_inverse=True)
         of_steps = inputs[:m], inputs[m : m + k], inputs[m + k :]
         one = single(*of_steps)
         place = place.reshape(s, n)

@@ -381,7 +381,7 @@ class StrideMap:
         angles = 6 if self.kneed else 0
 
         return Stride(
-            **self._by_times(out, times, self._times_by(strike.parts, n)),
+            **self._by_times(out, times, strike.parts),
             y=y,
             start=begin[0],
             knee=strike.before[:angles],
@@ -549,22 +549,18 @@ class StrideMap:
 
         return _Kneestrike(*np.split(out, sizes))
 
-    def _times_by(self, parts: np.ndarray, n: int) -> np.ndarray:
-        """Derivatives of the event times by y, the durations as the equations have
-        them, and the drive, shape (k, m + k + 1, n).
+    def _heelstrike_by(self, parts: np.ndarray) -> np.ndarray:
+        """Derivatives of the time of heelstrike, with knees, by y, the durations as the
+        equations have them, and the drive, shape (m + 3, n).
 
         Heelstrike is timed from the start of the step; a part of a direction along the
         field at kneestrike is a shift of time.
         """
-        m, k = self.m, 1 + self.kneed
-        times_by = np.zeros((k, m + k + 1, n))
-        times_by[-1, m + k - 1] = 1.0
-
-        if self.kneed:
-            times_by[:, m] = 1.0
-            times_by[1, [*range(m + 1), m + 2]] -= parts[: m + 2]
-
-        return times_by
+        m = self.m
+        by = np.zeros((m + 3, parts.shape[1]))
+        by[[m, m + 1]] = 1.0
+        by[[*range(m + 1), m + 2]] -= parts[: m + 2]
+        return by
 
     def _named(self, out: np.ndarray) -> dict[str, np.ndarray]:
         """Rows that the end of a step gives, by their names and in their shapes."""
@@ -575,7 +571,7 @@ class StrideMap:
         return named
 
     def _by_times(
-        self, out: np.ndarray, times: Times, times_by: np.ndarray
+        self, out: np.ndarray, times: Times, parts: np.ndarray
     ) -> dict[str, Any]:
         """What the end of a step gives by the durations, as a stride has it by the
         event times.
@@ -586,21 +582,27 @@ class StrideMap:
             end.pop(name) for name in ("shifts", "moves", "newton")
         )
         derivative = end["derivative"]
+        shifted = shifts[:, 0]
 
+        # The time of the first strike is the duration of the first phase.
         if self.kneed:
+            by = self._heelstrike_by(parts)
+            of_all = by[: m + k]
             # A later kneestrike with the same heelstrike shortens the last phase, and
             # so does all else.
             others = [*range(m + 1), m + 2]
-            derivative[:, others] -= derivative[:, [m + 1]] * times_by[1, others]
+            derivative[:, others] -= derivative[:, [m + 1]] * by[others]
 
-        of_times = [matvec(moves.swapaxes(0, 1), row[: m + k]) for row in times_by]
+            shifted[1] = matvec(by[None, m : m + k], shifted)[0]
+            moves[-1] = matvec(moves.swapaxes(0, 1), of_all)
+            newton[-1] = matvec(of_all[None], newton)[0]
 
         return {
             **end,
-            "times": times + matvec(times_by[:, m : m + k], shifts[:, 0]),
-            "inverse": np.stack([*moves[:m], *of_times]),
+            "times": times + shifted,
+            "inverse": moves,
             "newton": newton[:m],
-            "newton_times": times + matvec(times_by[:, : m + k], newton),
+            "newton_times": times + newton[m:],
             "closing": np.stack([derivative[m + j, m + j] for j in range(k)]),
         }
 

@@ -20,7 +20,7 @@ from gaitsweep.tasks.branches.refine import COARSE
 from gaitsweep.tasks.branches.special_points import corrected, flips
 from gaitsweep.tasks.branches.tracking import MAX_MULTIPLIER, follow
 from gaitsweep.tasks.step.problem import Problem
-from gaitsweep.tasks.studies.locate_cascade import search_cycles
+from gaitsweep.tasks.studies.locate_cascade import Orbits
 
 #: Slopes of the search for gaits that no flip begins, over the slope of the first flip,
 #: and initial states at each.
@@ -52,13 +52,15 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Bra
     """
     single = _flips_of(problem, branches)
     steps = n // (n & -n)  # the odd part
-    found = _search(problem, branches, steps, single)
-    followed = _follow_all(problem.of_steps(steps), [], found)
+    periods = [steps]
+    while periods[-1] < n:
+        periods.append(2 * periods[-1])
+
+    found = _search(problem, branches, periods, single)
+    followed = _follow_all(problem.of_steps(steps), [], found[steps])
     begins = single if steps == 1 else _flips_of(problem, followed)
-    while steps < n:
-        steps *= 2
-        found = _search(problem, branches, steps, single)
-        followed = _follow_all(problem.of_steps(steps), begins, found)
+    for steps in periods[1:]:
+        followed = _follow_all(problem.of_steps(steps), begins, found[steps])
         if steps < n:
             begins = _flips_of(problem, followed)
 
@@ -133,23 +135,36 @@ def _beyond_flips(problem: Problem, branches: list[Branch]) -> ndarray:
 
 
 def _search(
-    problem: Problem, branches: list[Branch], n: int, flips: list[Evaluation]
-) -> list[Point]:
-    """Gaits of n steps that a search near the first flip of one step finds, up to the
-    multiplier to which branches are followed.
+    problem: Problem,
+    branches: list[Branch],
+    periods: Sequence[int],
+    flips: list[Evaluation],
+) -> dict[int, list[Point]]:
+    """Gaits of some periods that a search near the first flip of one step finds, up to
+    the multiplier to which branches are followed.
 
     If there is no flip, gaits of two steps are searched for at slopes at which those of
     one step have doubled.
     """
+    found: dict[int, list[Point]] = {n: [] for n in periods}
+    sought = [n for n in periods if n > 2 or (n == 2 and not flips)]
     slopes = np.zeros(0)
-    if flips and n > 2:
+    if flips:
         first = float(np.exp(min(flip.q[0] for flip in flips)))
         slopes = first * _SEARCHED
-    elif not flips and n == 2:
+    elif 2 in sought:
         slopes = _beyond_flips(problem, branches)
+        sought = [2]
 
-    if not len(slopes):
-        return []
+    if not sought or not len(slopes):
+        return found
 
-    found = search_cycles(problem, branches, slopes, n, _STARTS)
-    return [gait for gait in found if abs(gait.at.multipliers[0, 0]) <= MAX_MULTIPLIER]
+    orbits = Orbits(problem, branches, slopes, max(sought), _STARTS)
+    for n in sought:
+        found[n] = [
+            gait
+            for gait in orbits.cycles(n)
+            if abs(gait.at.multipliers[0, 0]) <= MAX_MULTIPLIER
+        ]
+
+    return found

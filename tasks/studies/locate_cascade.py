@@ -53,9 +53,11 @@ _ORBITS, _SPREAD, _MAX_EXTENT = 640, 1e-9, 3.0
 #: in ln slope, that is expected: the first intervals of a cascade need not follow
 #: Feigenbaum's law.
 _FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
-#: Largest step of Newton's method by which a guess is not lost; of guesses in one cell
-#: of this size after three steps, which lead to one gait, the nearest to it continues.
-_MAX_STEP, _MERGE_CELL = 1.0, 1e-2
+#: Guesses whose first, second, ... step of Newton's method is larger are lost, and those
+#: that take so many: hardly one converges. Of guesses in one cell of this size after
+#: three steps, which lead to one gait, the nearest to it continues.
+_MAX_STEP_BY_ITERATION = (1.0, 0.8, 0.4, 0.2, 0.1, 0.05)
+_MAX_NEWTON, _MERGE_CELL = 12, 1e-2
 #: Initial states at a slope that are polished: those that return closest to themselves.
 _POLISHED = 60
 #: Most points of a branch on which no event is found.
@@ -387,7 +389,8 @@ def _solved(problem: Problem, w: Unknowns, slope: Slopes) -> list[Point]:
             w,
             q,
             coarse=coarse,
-            max_step_by_iteration=(_MAX_STEP,),
+            max_iterations=_MAX_NEWTON,
+            max_step_by_iteration=_MAX_STEP_BY_ITERATION,
             merge_cell=cell,
             group=q,
         )
@@ -425,8 +428,8 @@ def _distinct(
 def search_cycles(
     problem: Problem, branches: list[Branch], slopes: Slopes, n: int, starts: int
 ) -> list[Point]:
-    """Search for the distinct gaits of exact period n at some slopes: those of the first
-    slope first, and of one slope in order of their largest multiplier.
+    """Search for the distinct gaits of exact period n at some slopes, as
+    `Orbits.cycles` does.
 
     Parameters
     ----------
@@ -438,56 +441,91 @@ def search_cycles(
         Number of steps after which the gaits repeat.
     starts : int
         Initial states at each slope.
+    """
+    return Orbits(problem, branches, slopes, n, starts).cycles(n)
+
+
+class Orbits:
+    """Orbits at some slopes from initial conditions around the long gaits there, among
+    which gaits of up to `longest` steps are searched for.
+
+    Parameters
+    ----------
+    problem : Problem
+    branches : list of Branch
+        The line's atlas.
+    slopes : ndarray, shape (k,) [rad]
+    longest : int
+    starts : int
+        Initial states at each slope.
 
     Notes
     -----
     Initial conditions lie on a low-discrepancy lattice around the long gait, wide enough to hold every attractor of the
-    paper's walkers; those that return close to themselves after n steps are polished by
-    Newton on all n sections.
+    paper's walkers.
     """
-    guesses, slope = _nearly_returning(problem, branches, slopes, n, starts)
-    if not len(slope):
-        return []
 
-    found = _solved(problem.of_steps(n), guesses, slope)
+    def __init__(
+        self,
+        problem: Problem,
+        branches: list[Branch],
+        slopes: Slopes,
+        longest: int,
+        starts: int,
+    ):
+        self._problem = problem
+        self._slopes = slopes
+        walk = _around_long_gaits(problem, branches, slopes, starts)
+        self._slope = walk.slope
+        # The first step maps all initial conditions onto the strongly contracted image
+        # of the map.
+        self._after, self._times = [], []
+        for _ in walk.steps(longest + 1):
+            self._after.append(walk.y.copy())
+            self._times.append(walk.times.copy())
 
-    def place(gait: Point) -> tuple[int, float]:
-        nearest_slope = np.abs(np.log(slopes) - gait.Z[-1, 0]).argmin()
-        return int(nearest_slope), _largest_multiplier(gait)
+        self._taken = walk.taken
 
-    return sorted(found, key=place)
+    def cycles(self, n: int) -> list[Point]:
+        """Return the distinct gaits of exact period n that are found: those of the first
+        slope first, and of one slope in order of their largest multiplier.
 
+        Notes
+        -----
+        Orbits that return close to themselves after n steps are polished by Newton on
+        all n sections.
+        """
+        lanes = self._nearly_returning(n)
+        if not len(lanes):
+            return []
 
-def _nearly_returning(
-    problem: Problem, branches: list[Branch], slopes: Slopes, n: int, starts: int
-) -> tuple[Unknowns, Slopes]:
-    """Guesses (m + k, j) at gaits of n steps, and their slopes (j,): those orbits of
-    each slope that return closest to themselves.
-    """
-    walk = _around_long_gaits(problem, branches, slopes, starts)
+        states = np.stack(self._after[:n])[..., lanes]
+        strikes = np.stack(self._times[1 : n + 1])[..., lanes]
+        durations = np.diff(strikes, axis=1, prepend=0)
+        guesses = joined(0.0, states, durations)
+        found = _solved(self._problem.of_steps(n), guesses, self._slope[lanes])
 
-    # The first step maps all initial conditions onto the strongly contracted image of
-    # the map.
-    after, times = [], []
-    for _ in walk.steps(n + 1):
-        after.append(walk.y.copy())
-        times.append(walk.times.copy())
+        def place(gait: Point) -> tuple[int, float]:
+            nearest_slope = np.abs(np.log(self._slopes) - gait.Z[-1, 0]).argmin()
+            return int(nearest_slope), _largest_multiplier(gait)
 
-    if not len(walk.lanes):
-        return np.empty((0, 0)), np.empty(0)
+        return sorted(found, key=place)
 
-    off = np.abs(after[n] - after[0]).max(axis=0)
+    def _nearly_returning(self, n: int) -> ndarray:
+        """Numbers (j,) of the orbits of each slope that return closest to themselves
+        after n steps.
+        """
+        walking = np.flatnonzero(self._taken > n)
+        if not len(walking):
+            return walking
 
-    nearest = []
-    for slope in np.unique(walk.slope[walk.lanes]):
-        lanes = walk.lanes[walk.slope[walk.lanes] == slope]
-        nearest.append(lanes[np.argsort(off[lanes], kind="stable")[:_POLISHED]])
+        off = np.abs(self._after[n] - self._after[0]).max(axis=0)
+        nearest = []
+        for slope in np.unique(self._slope[walking]):
+            lanes = walking[self._slope[walking] == slope]
+            nearest.append(lanes[np.argsort(off[lanes], kind="stable")[:_POLISHED]])
 
-    lanes = np.concatenate(nearest)
-    states = np.stack(after[:n])[..., lanes]
-    strikes = np.stack(times[1:])[..., lanes]
-    durations = np.diff(strikes, axis=1, prepend=0)
-    return joined(0.0, states, durations), walk.slope[lanes]
+        return np.concatenate(nearest)
 
 
 def _around_long_gaits(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pytest
 
 from gaitsweep.tasks.branches.pseudo_arclength import (
     Newton,
@@ -181,3 +182,22 @@ def test_a_curve_that_closes_in_the_step_in_which_it_stops_for_another_reason_is
     assert followed() == ("closed", n)
     most = n - 1
     assert followed() == ("elsewhere", n - 1)
+
+
+def test_what_only_leads_to_others_has_converged_in_coordinates_without_size_too():
+    """Of x^2 = 2 and t^2 = 0, of which only x has a size, t converges slowly."""
+
+    def linearise(lanes, Z):
+        t, x, _ = Z
+        zero = np.zeros_like(t)
+        derivative = np.array([[2 * t, zero, zero], [zero, 2 * x, zero]])
+        return Equations(np.array([t**2, x**2 - 2]), derivative)
+
+    limits = Newton(20, max_step=1.0, small=0.0, shrinking=0.0, enough=1e-2)
+    begin = np.array([[0.4], [1.5], [0.0]])
+    found = bordered_newton(
+        linearise, lambda *_: 0.0, limits, begin, np.eye(3)[:, [2]], sized=[1, 2]
+    )
+    assert found.ok[0] and found.Z[1, 0] == pytest.approx(np.sqrt(2), abs=1e-12)
+    # Until x changed no more; it was enough after two steps, with 0.1 left of t.
+    assert found.Z[0, 0] < 0.02
