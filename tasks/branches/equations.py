@@ -89,8 +89,8 @@ class Keys:
     difference : float
         Step of the central differences, over the range.
     walkers_at : callable, optional
-        The walkers at values of all keys, shape (k, n), as an array: beyond the ranges
-        their formulas go on, of which measures have derivatives too.
+        The walkers at values of all keys, shape (k, n), as an array, of which the first
+        is valid: beyond the ranges formulas go on, also those of measures.
     """
 
     names: tuple[str, ...]
@@ -162,15 +162,15 @@ class Keys:
         them.
 
         Beyond the ranges, where there may be no walker, their numbers and constants are
-        continued linearly.
+        continued linearly, or as `walkers_at` has them.
         """
         values = x * self.scale[:, None]
-        different, lane = np.unique(values, axis=1, return_inverse=True)
+        different, lane = _different(values)
         if self.walkers_at is not None:
             lanes = Lanes(self.walkers_at(different), self.structure)
         else:
             lanes = self._continued(different)
-        return lanes.some(lane.ravel()).over(drive)
+        return lanes.some(lane).over(drive)
 
     def _continued(self, values: ndarray) -> Lanes:
         """The step maps at values (k, n), continued linearly beyond the ranges."""
@@ -195,6 +195,15 @@ class Keys:
         lanes = Lanes(walkers, self.structure)
         lanes.constants[:, missing] = np.nan
         return lanes
+
+
+def _different(values: ndarray) -> tuple[ndarray, ndarray]:
+    """The different columns (k, d) of values (k, n), the first first, and which of them
+    each is, (n,).
+    """
+    _, first, which = np.unique(values, axis=1, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return values[:, first[order]], np.argsort(order)[which.ravel()]
 
 
 @dataclass

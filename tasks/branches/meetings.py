@@ -57,8 +57,8 @@ _SAME_MULTIPLIER = 1e-4
 _PARTS, _REFINEMENTS = 4, 3
 #: Least distance of a sample that is added from others, over the segment.
 _APART = 1e-6
-#: Difference of a scalar from its target that is rounding, over their sizes, and where
-#: both are small.
+#: Difference of a scalar from its target that is rounding: over the target, and that of
+#: conditions of this package, which have no units, where their target is 0.
 _FULFILLED, _ROUNDING = 1e-8, 1e-12
 #: Distance from the change of sign within which the point lies, over the segment; and
 #: that of the turnings of slope and key at a cusp, over a range.
@@ -352,12 +352,13 @@ def meetings(
         Conditions that it may meet besides those that only curves of its kind do, by
         their names; its own is passed over.
     window : ndarray, shape (f, 2)
-        Least and largest last unknowns, beyond which there may be no walker.
+        Least and largest value of each of the f last unknowns, beyond which there may
+        be no walker.
 
     Notes
     -----
-    Two roads: the other condition's curve has the same point. Where the other holds all
-    along, as a spectral radius of 1 may on a curve of folds, none is met.
+    Two roads: the other condition's curve has the same point. On a segment at both of
+    whose ends the other holds, as a spectral radius of 1 does along folds, none is met.
     """
     if len(points) < 2:  # the curve leaves its window at once
         return
@@ -424,13 +425,14 @@ def _crossings(
     off: ndarray,
     residual: Callable[[ndarray], ndarray],
 ) -> ndarray:
-    """Places at which a curve fulfils a condition, nearly, whose scalar is `off` (n,)
-    from its target at the samples; none on segments along which it holds everywhere.
+    """Places about which a curve fulfils a condition, whose scalar is `off` (n,) from its
+    target at the samples; none on segments at both of whose ends it holds: there
+    rounding alone tells where.
     """
-    at_points = np.abs(off[::_PARTS])
-    largest = at_points.max(initial=0.0, where=np.isfinite(at_points))
-    size = largest + np.max(np.abs(condition.target))
-    vanishes = at_points <= _FULFILLED * size + _ROUNDING
+    within = _FULFILLED * np.max(np.abs(condition.target))
+    if condition.name in CONDITIONS:
+        within = max(within, _ROUNDING)
+    vanishes = np.abs(off[::_PARTS]) <= within
     holds = vanishes[:-1] & vanishes[1:]
 
     places = _roots(curve.samples, off, residual)

@@ -70,10 +70,10 @@ TASKS = {
         Task(
             "points",
             "gaitsweep.tasks.studies.solve_points:points",
-            33,
+            34,
             needs=("atlas",),
         ),
-        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 5),
+        Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 6),
         Task("charts", "gaitsweep.tasks.studies.solve_planes:charts", 13),
         Task(
             "trace", "gaitsweep.tasks.studies.trace_motion:trace", 7, needs=("atlas",)
@@ -81,7 +81,7 @@ TASKS = {
         Task(
             "branch",
             "gaitsweep.tasks.studies.follow_branches:branch",
-            29,
+            30,
             needs=("atlas",),
         ),
         Task(
@@ -98,7 +98,7 @@ TASKS = {
         ),
         Task("basin", "gaitsweep.tasks.studies.map_basin:basin", 13, needs=("atlas",)),
         Task(
-            "curve", "gaitsweep.tasks.studies.follow_curves:curve", 33, needs=("atlas",)
+            "curve", "gaitsweep.tasks.studies.follow_curves:curve", 34, needs=("atlas",)
         ),
         Task("design", "gaitsweep.tasks.studies.map_designs:design", 28),
         Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 4),

@@ -36,7 +36,6 @@ from gaitsweep.tasks.measures.losses import (
 )
 from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.drive import OVER_SLOPE, SLOPE
-from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import Problem, residual_sizes
 from gaitsweep.tasks.step.several_steps import AnyStride, Strides, side_by_side
 from gaitsweep.tasks.step.step_map import Stride
@@ -289,7 +288,7 @@ def describe(
     Parameters
     ----------
     problem : Problem
-        Of one walker, or of one for each gait, for which violations cannot be measured.
+        Of one walker, or of one for each gait.
     at : Polished
         The gaits.
     slope : ndarray, shape (n,)
@@ -305,7 +304,8 @@ def describe(
         In the walker's units; NaN where the guess is not converged to a step.
     """
     if problem.drive.key != SLOPE:
-        return _described_by_drive(problem, at, slope, want, limits)
+        lanes, own = problem.lanes_at(slope)
+        return describe(lanes, at, own, want, limits)
 
     slope = problem.slopes(slope)
     problem = problem.over(OVER_SLOPE)
@@ -351,33 +351,6 @@ def _outcomes(problem: Problem, at: Polished) -> Arrays:
         "error_bound": at.bound,
         "anthropomorphic": ~at.step | (at.leg_passes == 1),
         "passes": at.leg_passes,
-    }
-
-
-def _described_by_drive(
-    problem: Problem,
-    at: Polished,
-    drive: np.ndarray,
-    want: Sequence[str],
-    limits: Mapping[str, float] | None,
-) -> Arrays:
-    """Variables of gaits as `describe` has them, of the walkers that values of the drive
-    make: side by side, or each by itself where that cannot be.
-    """
-    groups = {VARIABLES[name].group for name in want}
-    if "violations" not in groups:
-        lanes, slope = problem.lanes_at(drive)
-        return describe(lanes, at, slope, want, limits)
-
-    parts, places = [], []
-    for some, driven, slope in problem.at_slopes(drive):
-        parts.append(describe(driven, lanes_of(at, some), slope, want, limits))
-        places.append(some)
-
-    order = np.argsort(np.concatenate(places))
-
-    return {
-        name: np.concatenate([part[name] for part in parts])[order] for name in parts[0]
     }
 
 
@@ -507,7 +480,7 @@ class Steps:
     ----------
     problem : Problem
     walker : Walker
-        That walker, or an array of them, for which violations cannot be measured.
+        That walker, or an array of them.
     stride : Stride
         Of sections over `scale`.
     y, state : ndarray, shape (m, n) and (angles, n) [rad, sqrt(g/leg)]

@@ -33,7 +33,7 @@ def check_measure(
         raise WalkerError(option, name, bound)
 
 
-def without_meaning(names: Sequence[str], walker: Walker) -> Iterator[str]:
+def never_begin(names: Sequence[str], walker: Walker) -> Iterator[str]:
     """Say of each of some violations that gaits of a walker can have none of it, where
     that is so.
     """

@@ -431,10 +431,11 @@ def _of_lanes(equations: Equations, lanes: np.ndarray) -> Equations:
 
 
 def _are_twins(value: np.ndarray, X: Coordinates, ok: np.ndarray) -> np.ndarray:
-    """Which gaits (n,) are one that comes before them among those of their value, which
-    follow one another: beside it, or where a closed curve ends at its first.
+    """Which gaits (n,) repeat an earlier one of their value: the one before, or the first
+    of a closed curve. Values are sorted.
     """
     n = len(value)
+    # Others may lie between the first and the last gait of a closed curve.
     twins = np.zeros(n, bool)
     for lag in range(1, n):
         is_alike = value[lag:] == value[:-lag]

@@ -109,7 +109,8 @@ class KeyOfWalker:
     walker_at : callable
         The walker at other values of it.
     walkers_at : callable, optional
-        The walkers at several, shape (1, n), as an array, which takes less.
+        The walkers at several, shape (1, n), as an array, unchecked, which takes less
+        time.
     """
 
     name: str
@@ -324,7 +325,8 @@ def _radius_moved(jacobian: np.ndarray, moved: np.ndarray) -> np.ndarray:
     found = np.full(moved.shape[2:], np.nan)
     matrices = np.moveaxis(jacobian, -1, 0)
     known = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)))
-    values, right = np.linalg.eig(matrices[known])
+    # Real where no gait of a batch has a complex pair, whose bits then were others.
+    values, right = (part + 0j for part in np.linalg.eig(matrices[known]))
     left = np.linalg.pinv(right)
     largest = np.abs(values).argmax(axis=1)
     lanes = np.arange(len(known))

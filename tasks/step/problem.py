@@ -86,6 +86,7 @@ class Problem:
         """
         if self.drive.key == SLOPE:
             return self.over(OVER_SLOPE)
+        assert self.constants.shape[1] == 1, "several walkers: `lanes_at` has them"
         other = self.over(OVER_SLOPE)
         other.walker, _ = self.drive.at(self.walker, drive)
         other.constants = constants_of(WalkerArray.of([other.walker]), self.structure)

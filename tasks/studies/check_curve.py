@@ -9,7 +9,11 @@ from typing import Any
 
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.measures.names import check_measure
-from gaitsweep.tasks.walkers.resolve import walker_of_line
+from gaitsweep.tasks.walkers.resolve import walker_of_line, walkers_over
+from gaitsweep.tasks.walkers.walker import Walker, WalkerError
+
+#: Share of a key's range at which walkers are not special.
+_ORDINARY = 0.4871
 
 
 def check(params: Mapping[str, Any]) -> None:
@@ -26,6 +30,24 @@ def check(params: Mapping[str, Any]) -> None:
         If there is no walker, or its gaits lack a measure.
     """
     options = registry.options("curve", params["options"])
-    walker = walker_of_line(params)
+    walker = walker_inside(params, options)
     for measure in options["levels"]:
         check_measure(measure, walker, "levels")
+
+
+def walker_inside(line: Mapping[str, Any], options: Mapping[str, Any]) -> Walker:
+    """Return the walker near the middle of the keys over which curves are followed: what
+    drives it there, as `push_off`, gives its gaits measures that the line's own may lack.
+
+    Parameters
+    ----------
+    line, options : mapping
+        Of a study of kind `curve`.
+    """
+    own = walker_of_line(line)
+    ranges = options["plane"] or {options["key"]: (options["from"], options["to"])}
+    try:
+        values = [low + _ORDINARY * (high - low) for low, high in ranges.values()]
+        return walkers_over(line, *ranges)(*values)
+    except WalkerError:
+        return own

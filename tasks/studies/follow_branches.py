@@ -30,7 +30,7 @@ from gaitsweep.tasks.contract.variables import units_of
 from gaitsweep.tasks.gaits.multipliers import multipliers
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW, gait_ratio
 from gaitsweep.tasks.measures import violations
-from gaitsweep.tasks.measures.names import without_meaning
+from gaitsweep.tasks.measures.names import never_begin
 from gaitsweep.tasks.measures.onsets import onsets
 from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.measures.sensitivities import slope_by_keys
@@ -91,13 +91,13 @@ def branch(
         `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate,
         shank_rate, period, error_bound, normal_form, normal_form_error, criticality), in
         the walker's units; `along` takes the place of the slope. Where these are wanted
-        `special_sensitivities` (branch, kind, slope, key, key_units, slope_by_key). Why
-        a violation has no onset that the walker cannot have, `partly/reason`.
+        `special_sensitivities` (branch, kind, slope, key, key_units, slope_by_key). `partly/reason`
+        names violations without an onset, since the walker cannot have them.
     """
     problem, unit = followed_over(params, int(params.get("steps", 1)))
-    begins, never = _begins(params, problem.walker)
     window = np.array([params["slope_from"], params["slope_to"]], float)
     low, high = _within_reach(problem, window / unit)
+    begins, never = _begins(params, problem.driven_by(high).walker)
     parts: list[tuple[Any, ...]] = []
     special: list[_Numbered] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
@@ -126,7 +126,7 @@ def _begins(
     options = registry.options("branch", params)
     names = options["onsets"]
     begins = onsets(names, walker, options["violation_limits"])
-    return begins, [*without_meaning(names, walker)]
+    return begins, [*never_begin(names, walker)]
 
 
 def _within_reach(problem: Problem, window: PerLane) -> tuple[float, float]:

@@ -31,11 +31,12 @@ from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.status import ranges
 from gaitsweep.tasks.contract.tables import Arrays, lacking, table
 from gaitsweep.tasks.measures.levels import LEVEL, level
-from gaitsweep.tasks.measures.names import check_measure, without_meaning
+from gaitsweep.tasks.measures.names import check_measure, never_begin
 from gaitsweep.tasks.measures.onsets import ONSET, onsets
 from gaitsweep.tasks.measures.passed import Curve, Sampled
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.sameness import SAME_POINT, same
+from gaitsweep.tasks.studies.check_curve import walker_inside
 from gaitsweep.tasks.studies.curve_rows import (
     FORM,
     rows,
@@ -43,7 +44,7 @@ from gaitsweep.tasks.studies.curve_rows import (
     walkers_of,
 )
 from gaitsweep.tasks.studies.follow_over_keys import curves_over_keys
-from gaitsweep.tasks.walkers.resolve import value_of_key, walker_of_line, walkers_over
+from gaitsweep.tasks.walkers.resolve import value_of_key, walkers_over
 from gaitsweep.tasks.walkers.walker import Walker, WalkerError
 
 #: Share of the way to an ordinary value of the key at which a curve begins that cannot
@@ -104,9 +105,9 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     line, options = params["line"], registry.options("curve", params)
     slope = np.asarray(params["slope"], float)
-    walker = walker_of_line(line)
+    walker = walker_inside(line, options)
     conditions = _conditions(options, walker)
-    absent = [*without_meaning(options["onsets"], walker)]
+    absent = [*never_begin(options["onsets"], walker)]
     if options["plane"]:
         return curves_over_keys(line, slope, options["plane"], conditions, absent)
 

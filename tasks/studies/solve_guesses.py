@@ -100,8 +100,10 @@ class Solved:
 def walkers_alone(
     problem: Problem, walker: np.ndarray, names: Sequence[str]
 ) -> list[tuple[Problem, int]]:
-    """Return the walkers whose gaits are measured each by themselves, and how many each
-    has, one after another: of gaits that are differentiated. Of others none.
+    """Return the walkers whose gaits are measured by themselves, as derivatives are, with
+    the number of consecutive lanes of each; empty if none are.
+
+    Walkers are differentiated one at a time: several gaits of one cost little more.
 
     Parameters
     ----------

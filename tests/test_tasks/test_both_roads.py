@@ -376,6 +376,36 @@ def test_gaits_of_a_plane_are_measured_side_by_side_as_those_of_its_lines(
         np.testing.assert_allclose(of_plane, of_lines, rtol=1e-8, atol=off)
 
 
+def test_gaits_of_a_plane_over_a_drive_are_measured_with_what_drives_each():
+    """Each point has a push-off of its own."""
+    pushes = np.array([0.05, 0.08, 0.12])
+    every = [
+        {"walker": "B", "set": {"m_h": mass}, "slope": 0.0} for mass in (0.9, 1.0, 1.2)
+    ]
+    window = (0.04, 0.15)
+    over = {"along": "push_off"}
+    asked, made = charted(every[0], {"m_h": (0.8, 1.4)}, window, **over)
+    names = (
+        "friction_demand_push_off",
+        "strike_velocity",
+        "least_normal_impulse",
+        "push_off_work",
+    )
+    want = [*ALWAYS, *names]
+    asked |= {"slope": pushes, "want": want, "lines": every}
+
+    ((_, plane),) = lines(asked, [made])
+
+    request = {"lines": every, "slope": pushes, "want": want, **over}
+    alone = lines_side_by_side(request, [])
+    is_gait = plane["status"] == status.CONVERGED
+    assert is_gait.any(axis=1).all()
+    for name in names:
+        of_lines = np.vstack([points[name] for _, points in alone])
+        of_plane = plane[name][is_gait]
+        np.testing.assert_allclose(of_plane, of_lines[is_gait], rtol=1e-8)
+
+
 def test_gaits_of_a_walker_in_a_plane_are_differentiated_at_once(monkeypatch):
     """Each walker takes longer than a gait."""
     asked_of = []

@@ -365,7 +365,12 @@ def test_a_curve_meets_a_condition_wherever_its_scalar_vanishes(
         evaluate=lambda X: X[-1],
         having=lambda conditions: None,
     )
-    other = types.SimpleNamespace(value=scalar, residual=scalar, target=0.0)
+    other = types.SimpleNamespace(
+        value=scalar,
+        residual=scalar,
+        target=0.0,
+        name="level",
+    )
 
     monkeypatch.setattr(meetings, "_solved", lambda both, guess, *_: guess)
     monkeypatch.setattr(meetings, "errors", lambda both, X, n: np.zeros(n))
@@ -377,6 +382,40 @@ def test_a_curve_meets_a_condition_wherever_its_scalar_vanishes(
     places = [each.X[-1] for each in found]
     assert places == pytest.approx(roots, abs=0.05)
     assert [each.segment for each in found] == [min(int(x), 2) for x in roots]
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "size", "count"),
+    [
+        ("level", 1e-14, 1e-14, 1),
+        ("level", 0.0, 1e-14, 1),
+        ("level", 1.0, 1e-9, 0),
+        ("fold", 0.0, 1e-3, 1),
+        ("fold", 0.0, 1e-14, 0),
+    ],
+)
+def test_what_is_rounding_of_a_condition_depends_on_its_units(
+    monkeypatch, name, target, size, count
+):
+    """A level has the walker's; conditions of this package have none."""
+    points = np.array([[0.0, k] for k in range(4)])
+    tangents = np.tile([0.0, 1.0], (4, 1))
+
+    def off(x):
+        return size * (x - 1.4)
+
+    other = types.SimpleNamespace(value=off, residual=off, target=target, name=name)
+    curve = types.SimpleNamespace(
+        conditions=(types.SimpleNamespace(name="own", value=None),),
+        evaluate=lambda X: X[-1],
+        having=lambda conditions: None,
+    )
+    monkeypatch.setattr(meetings, "_solved", lambda both, guess, *_: guess)
+    monkeypatch.setattr(meetings, "errors", lambda both, X, n: np.zeros(n))
+
+    met = meetings.meetings(curve, points, tangents, "own", {"other": other}, None)
+
+    assert len(list(met)) == count
 
 
 def test_a_curve_that_leaves_its_window_at_once_meets_nothing():

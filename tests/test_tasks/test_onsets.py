@@ -11,7 +11,7 @@ from gaitsweep.tasks.measures.names import measures
 from gaitsweep.tasks.measures.onsets import onsets
 from gaitsweep.tasks.studies.follow_branches import branch
 from gaitsweep.tasks.studies.follow_curves import curve
-from gaitsweep.tasks.studies.solve_points import points
+from gaitsweep.tasks.studies.solve_points import atlas, points
 from gaitsweep.tasks.walkers.resolve import resolve
 from lines import _atlas
 
@@ -159,3 +159,46 @@ def test_of_violations_that_a_walker_cannot_have_branches_say_so(violation, told
 
     reasons = found.get("partly/reason", np.array([])).tolist()
     assert [reason[:55] for reason in reasons] == told
+
+
+#: Of a push-off, which the walker itself has not: what drives it may violate.
+OF_PUSH = {"onsets": ["push_off_slips"], "violation_limits": {"push_off_slips": 0.15}}
+
+
+def friction_of(push_off, m_h):
+    """Friction that the push-offs of gaits on level ground demand."""
+    line = {"walker": "B", "set": {"m_h": m_h, "push_off": push_off}, "slope": 0.0}
+    asked = {"line": line, "slope": np.array([0.0])}
+    asked |= {"want": ("friction_demand_push_off",)}
+    return points(asked, [_atlas("B", ())])["friction_demand_push_off"][0]
+
+
+def test_violations_by_a_push_off_begin_on_branches_over_it():
+    line = {"walker": "B", "set": {"m_h": 1.0}, "slope": 0.0}
+    params = {"line": line, "along": "push_off", "n": 2, **OF_PUSH}
+    params |= {"slope_from": 0.02, "slope_to": 0.1}
+
+    found = branch(params, [atlas({"line": line, "along": "push_off"}, [])])
+
+    assert "partly/reason" not in found
+    kinds = found["special_points/kind"].astype(str)
+    own = kinds == "onset_of_friction_demand_push_off"
+    assert own.any()
+    for push_off in found["special_points/push_off"][own]:
+        nearest = np.nanmin(np.abs(friction_of(push_off, 1.0) - 0.15))
+        assert nearest < 1e-9
+
+
+@pytest.mark.thorough
+def test_violations_by_a_push_off_begin_along_curves_over_it_and_a_key():
+    line = {"walker": "B", "set": {}}
+    params = {"line": line, "slope": np.array([0.0]), "kinds": [], **OF_PUSH}
+    params |= {"plane": {"push_off": [0.03, 0.1], "m_h": [0.8, 1.2]}}
+
+    found = curve(params, [{}])
+
+    assert set(found["curves/kind"]) == {"onset_of_friction_demand_push_off"}
+    middle = len(found["curves/value"]) // 2
+    keys = found["curves/value"][middle], found["curves/other_value"][middle]
+    nearest = np.nanmin(np.abs(friction_of(*keys) - 0.15))
+    assert nearest < 1e-9

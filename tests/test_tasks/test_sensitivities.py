@@ -12,6 +12,7 @@ from gaitsweep.pipeline.errors import StudyError
 from gaitsweep.tasks.branches.atlas import from_arrays
 from gaitsweep.tasks.charts.sheet import Asked, Sampled, fit_sheets
 from gaitsweep.tasks.charts.span import Span
+from gaitsweep.tasks.measures.sensitivities import _radius_moved
 from gaitsweep.tasks.studies.request import Request
 from gaitsweep.tasks.studies.solve_points import atlas, solve_line
 from gaitsweep.tasks.walkers.resolve import resolve
@@ -328,6 +329,22 @@ def test_derivatives_of_long_lines_do_not_depend_on_how_they_are_cut():
 
     parts = [derivatives(some) for some in np.split(slopes, [3, 21])]
     np.testing.assert_array_equal(derivatives(slopes), np.concatenate(parts))
+
+
+def test_derivatives_of_spectral_radii_do_not_depend_on_gaits_beside():
+    """Of complex multipliers some gaits have pairs, others none."""
+    random = np.random.default_rng(0)
+    jacobian = random.normal(size=(2, 2, 12))
+    values = np.linalg.eigvals(jacobian.transpose(2, 0, 1))
+    are_real = np.isreal(values).all(axis=1)
+    assert are_real.any() and not are_real.all()
+
+    moved = random.normal(size=(2, 2, 3, 12))
+    every = _radius_moved(jacobian, moved)
+
+    for lane in range(12):
+        alone = _radius_moved(jacobian[..., [lane]], moved[..., [lane]])
+        np.testing.assert_array_equal(every[:, [lane]], alone)
 
 
 def test_violations_of_many_gaits_are_differentiated():
