@@ -312,14 +312,8 @@ def describe(
     stride, walker = at.stride, problem.every_walker
     solved = _outcomes(problem, at)
     code = solved["status"]
-    measured = _steps(problem, walker, at, slope).measure(want, limits)
-    of_gaits = of_all_steps(measured, problem.steps)
-    of_gaits |= of_travel(walker, slope, of_gaits, problem.steps)
-    if "energy_imbalance" in want:
-        of_gaits["energy_imbalance"] = energy_imbalance(
-            walker, slope, of_gaits, problem.steps
-        )
-
+    of_steps = _steps(problem, walker, at, slope).measure(want, limits)
+    of_gaits = _of_gaits(walker, slope, of_steps, problem.steps, want)
     solved |= without_features(want, problem.features, len(slope)) | of_gaits
     if any(VARIABLES[name].group == "multipliers" for name in want):
         solved |= measured_multipliers(
@@ -332,6 +326,22 @@ def describe(
             value[code != status.CONVERGED] = np.nan
 
     return solved
+
+
+def _of_gaits(
+    walker: Walker,
+    slope: np.ndarray,
+    of_steps: Arrays,
+    steps: int,
+    want: Sequence[str],
+) -> Arrays:
+    """What is measured of gaits by what is of their steps."""
+    of_gaits = of_all_steps(of_steps, steps)
+    of_gaits |= of_travel(walker, slope, of_gaits, steps)
+    if "energy_imbalance" in want:
+        off = energy_imbalance(walker, slope, of_gaits, steps)
+        of_gaits["energy_imbalance"] = off
+    return of_gaits
 
 
 def _outcomes(problem: Problem, at: Polished) -> Arrays:

@@ -97,7 +97,7 @@ def branch(
     problem, unit = followed_over(params, int(params.get("steps", 1)))
     window = np.array([params["slope_from"], params["slope_to"]], float)
     low, high = _within_reach(problem, window / unit)
-    begins, never = _begins(params, problem.driven_by(high).walker)
+    begins, never = _begins(params, problem, high)
     parts: list[tuple[Any, ...]] = []
     special: list[_Numbered] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
@@ -118,11 +118,12 @@ def branch(
 
 
 def _begins(
-    params: Mapping[str, Any], walker: Walker
+    params: Mapping[str, Any], problem: Problem, drive: float
 ) -> tuple[dict[str, Condition], list[str]]:
     """The conditions at which the violations begin whose onsets are located, and what is
-    to say of those that the walker cannot have.
+    to say of those that the walker, driven, cannot have.
     """
+    walker = problem.driven_by(drive).walker
     options = registry.options("branch", params)
     names = options["onsets"]
     begins = onsets(names, walker, options["violation_limits"])
