@@ -37,6 +37,8 @@ _MAX_SPLITS, _MAX_PREDICTION_ERROR = 12, 1e-3
 _SHARP = 1e-13
 
 
+#: Last Newton step of a point that changes its equations by no more than rounding.
+_SETTLED = 1e-11
 #: Corrected points of a segment, by their coordinates on it.
 Known = dict[float, Point]
 
@@ -66,14 +68,27 @@ def correct_at(
     """
     segments = np.array([segment])
     Z = branch.evaluate(segments, np.array([x]))
-    solved = [other for other, point in known.items() if point.ok[0]]
-    if solved:
-        nearest = min(solved, key=lambda other: abs(other - x))
+    settled = [other for other, point in known.items() if _is_settled(point)]
+    if settled:
+        nearest = min(settled, key=lambda other: abs(other - x))
         Z += known[nearest].Z - branch.evaluate(segments, np.array([nearest]))
 
     direction = branch.between(segments)
     point = yield Call(correct, (Z, direction))
+    if not _is_settled(point):
+        # Where branches cross Newton's method comes slowly near, and the equations that
+        # the point has are those before its last step.
+        once = (("max_iterations", 1),)
+        again = yield Call(correct, (point.Z, direction), once)
+        again.ok = point.ok
+        point = again
+
     return point.oriented(direction)
+
+
+def _is_settled(point: Point) -> bool:
+    """Whether the equations that a corrected point has are those at the point itself."""
+    return bool(point.ok[0] and point.last_step[0] <= _SETTLED)
 
 
 def search_segment(
