@@ -145,8 +145,8 @@ def _part_along(
     is_loop: bool,
     flips: Sequence[Evaluation],
 ) -> Procedure[list[Branch]]:
-    """The branches of a run of nodes that are steps, of a branch that began at a gait;
-    of one that is a loop all are.
+    """The branches made of one run of nodes that are steps, of a branch that began at a
+    gait; the run of a loop is a whole closed branch.
     """
     branch = yield from _with_ends(raw, *run)
     if branch is None:
@@ -236,19 +236,31 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
 def _located_ends(
     raw: Branch, first: int, last: int
 ) -> Procedure[tuple[Branch, int, int, dict[int, BranchEnd]]]:
-    """The ends of a run of nodes that are steps, by its sides, 0 and 1; the branch with
-    the nodes that locating them adds, and the run's first and last node between them.
+    """The branch with the nodes that locating the ends of a run of steps adds, the run's
+    first and last node between these ends, and the ends, by its sides, 0 and 1.
+    """
+    raw, first, last, ends = yield from _cut_ends(raw, first, last)
+    # An end may have been narrowed on the segment on which a limit is passed.
+    whole = [side for side in (0, 1) if side not in ends]
+    limits = yield [_passed_limit(raw, side) for side in whole]
+    passed = {side: end for side, end in zip(whole, limits, strict=True) if end}
+    first += 0 in passed
+    last -= 1 in passed
+    return raw, first, last, ends | passed
+
+
+def _cut_ends(
+    raw: Branch, first: int, last: int
+) -> Procedure[tuple[Branch, int, int, dict[int, BranchEnd]]]:
+    """What `_located_ends` returns, of the ends beyond which there are nodes that are no
+    steps.
     """
     # On each side the run's outermost node, and that beyond, if there is one.
     sides = (first, first - 1), (last, last + 1)
     cut = [side for side in (0, 1) if sides[side][1] in range(len(raw.q))]
-    whole = [side for side in (0, 1) if side not in cut]
     located = yield [_cut_end(raw, *sides[side]) for side in cut]
-    limits = yield [_passed_limit(raw, side) for side in whole]
 
-    ends = {side: end for side, end in zip(whole, limits, strict=True) if end}
-    first += 0 in ends
-    last -= 1 in ends
+    ends: dict[int, BranchEnd] = {}
     narrowed = []
     for side, (branch, inner, end) in zip(cut, located, strict=True):
         ends[side] = end
@@ -266,7 +278,7 @@ def _cut_end(
     raw: Branch, good: int, bad: int
 ) -> Procedure[tuple[Branch, int, BranchEnd]]:
     """The end between two neighbouring nodes, of which one is a step; the branch with
-    the nodes that locating it adds, and that before the end.
+    the nodes that locating it adds, and the number of the last node that is a step.
     """
     is_last = good < bad
     like_left = is_step if is_last else _is_no_step

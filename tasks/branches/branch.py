@@ -209,8 +209,8 @@ class Branch:
         return self.insert(after, point.Z, point.direction)
 
     def with_nodes_of(self, others: Sequence[tuple[int, Branch]]) -> Branch:
-        """Branch with the nodes that others have more than it on one segment each, and
-        nothing measured yet.
+        """Branch with nodes inserted that each of some others has, beyond its own, on one
+        segment, and nothing measured yet.
 
         Parameters
         ----------

@@ -269,17 +269,10 @@ def _knee_acceleration(at: Evaluation) -> ndarray:
     links = [0, 0, 1, 2]
     q, rate = start[:3][links] * scale, start[3:][links] * scale
 
-    bending = np.full(len(scale), np.nan)
-    n = len(at.q)
-    for numbers, problem, _ in at.problem.at_slopes(np.exp(at.q)):
-        chain = Chain(problem.every_walker)
-        lanes = (numbers + n * np.arange(s)[:, None]).ravel()
-        *_, thigh, shank = chain.accelerations(
-            q[:, lanes], rate[:, lanes], slope[lanes], True
-        )
-        bending[lanes] = thigh - shank
-
-    return bending / scale
+    driven, _ = at.problem.lanes_at(np.exp(at.q))
+    walkers = driven.every_walker.some(np.tile(np.arange(len(at.q)), s))
+    *_, thigh, shank = Chain(walkers).accelerations(q, rate, slope, True)
+    return np.asarray((thigh - shank) / scale)
 
 
 def _foot_rise(at: Evaluation) -> ndarray:

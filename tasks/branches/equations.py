@@ -198,11 +198,12 @@ class Keys:
 
 
 def _different(values: ndarray) -> tuple[ndarray, ndarray]:
-    """The different columns (k, d) of values (k, n), the first first, and which of them
-    each is, (n,).
+    """The different columns (k, d) of values (k, n), in their order but for those that
+    are NaN, which come last, and which of them each is, (n,).
     """
     _, first, which = np.unique(values, axis=1, return_index=True, return_inverse=True)
-    order = np.argsort(first)
+    is_lost = np.isnan(values[:, first]).any(axis=0)
+    order = np.lexsort((first, is_lost))
     return values[:, first[order]], np.argsort(order)[which.ravel()]
 
 

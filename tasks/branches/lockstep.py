@@ -81,8 +81,8 @@ def side_by_side(
     return running.returned
 
 
-#: The number of a procedure, then its number among those that it was yielded with, and
-#: so on.
+#: Where a procedure stands: its number in the outermost list, then in each list yielded
+#: within.
 _Place = tuple[int, ...]
 
 

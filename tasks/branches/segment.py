@@ -19,9 +19,9 @@ from gaitsweep.tasks.branches.conditions import Condition
 from gaitsweep.tasks.branches.lockstep import Call, Procedure
 from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.branches.root import root_search
-from gaitsweep.tasks.branches.tracking import check_steps, correct
+from gaitsweep.tasks.branches.tracking import ONE_STEP, check_steps, correct
 from gaitsweep.tasks.mechanics.arrays import Coordinates
-from gaitsweep.tasks.mechanics.sums import total
+from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step import extended_precision
 from gaitsweep.tasks.step.problem import EPS, Problem
 from gaitsweep.tasks.step.several_steps import AnyStride
@@ -37,7 +37,8 @@ _MAX_SPLITS, _MAX_PREDICTION_ERROR = 12, 1e-3
 _SHARP = 1e-13
 
 
-#: Last Newton step of a point that changes its equations by no more than rounding.
+#: Last Newton step of a point, event times apart, up to which the equations before it
+#: serve as those at the point.
 _SETTLED = 1e-11
 #: Corrected points of a segment, by their coordinates on it.
 Known = dict[float, Point]
@@ -59,7 +60,8 @@ def correct_at(
     Parameters
     ----------
     known : mapping, optional
-        Points of the segment: the polynomial is as far off as at the nearest of them.
+        Points of the segment: the polynomial is as far off as at the nearest of those
+        that have settled.
 
     Returns
     -------
@@ -71,15 +73,17 @@ def correct_at(
     settled = [other for other, point in known.items() if _is_settled(point)]
     if settled:
         nearest = min(settled, key=lambda other: abs(other - x))
-        Z += known[nearest].Z - branch.evaluate(segments, np.array([nearest]))
+        off = known[nearest].Z - branch.evaluate(segments, np.array([nearest]))
+        length = norm(branch.Z[:, segments + 1] - branch.Z[:, segments])
+        # One on another branch is no guide.
+        Z += np.where(norm(off) < length, off, 0.0)
 
     direction = branch.between(segments)
     point = yield Call(correct, (Z, direction))
     if not _is_settled(point):
         # Where branches cross Newton's method comes slowly near, and the equations that
         # the point has are those before its last step.
-        once = (("max_iterations", 1),)
-        again = yield Call(correct, (point.Z, direction), once)
+        again = yield Call(correct, (point.Z, direction), ONE_STEP)
         again.ok = point.ok
         point = again
 
@@ -87,7 +91,9 @@ def correct_at(
 
 
 def _is_settled(point: Point) -> bool:
-    """Whether the equations that a corrected point has are those at the point itself."""
+    """Whether a point was corrected so quickly that the equations it has, those before
+    its last step, serve as those at the point.
+    """
     return bool(point.ok[0] and point.last_step[0] <= _SETTLED)
 
 
@@ -128,8 +134,8 @@ def search_segment(
 def correct_all_at(
     branch: Branch, segment: int, places: Sequence[float], known: Known
 ) -> Procedure[list[Point]]:
-    """Correct the points at some coordinates of a segment, but those that are known, to
-    which the others are added.
+    """Correct the points at some coordinates of a segment: those that are not yet known
+    side by side, and add them to the known ones.
     """
     new = [x for x in places if x not in known]
     found = yield [correct_at(branch, segment, x) for x in new]
@@ -162,7 +168,9 @@ def locate_root(
     except ValueError:
         # The values at the nodes differ in sign by rounding only: the end nearer zero
         # is the root.
-        return min(known[a], known[b], key=lambda point: abs(test(point)))
+        at_a = yield from _outcome(test(known[a]))
+        at_b = yield from _outcome(test(known[b]))
+        return known[a] if abs(at_a) < abs(at_b) else known[b]
 
 
 def point_at_slope(branch: Branch, segment: int, q: float) -> Procedure[Point | None]:

@@ -50,7 +50,7 @@ MIN_SLOPE, MAX_SLOPE = SLOPES[0], 0.7
 _NEWTON = Newton(max_iterations=8, max_step=1.0, small=1e-9, shrinking=0.2)
 #: Newton step after which a point of a track is accurate enough: the next, about its
 #: square, is taken for all points together. Before a fall, where the duration grows
-#: without bound, a larger one would leave errors for which steps must be short.
+#: without bound, a larger bound would leave errors for which steps must be short.
 _ENOUGH = 1e-10
 #: Steps of branches turn by at most 0.3 rad; what is kept near its target is the
 #: distance from the predicted point.
@@ -124,7 +124,7 @@ def correct(
     found = bordered_newton(
         linearise, rounding_step, limits, Z, border, but_times(problem.m)
     )
-    # As if the last step, which is rounding or nearly, changed nothing but the point.
+    # The equations are those before the last step; only the point is after it.
     return replace(found, at=replace(found.at, Z=found.Z))
 
 
@@ -142,9 +142,10 @@ def refine_and_check(
     Returns
     -------
     point : Point
-        Where a point has no better one, or that is farther than points of tracks may be
-        off, it is the point itself.
+        The corrected points; those given where the step is larger than points of tracks
+        may be off, or has no solution.
     check : StepCheck
+        Of those given.
     """
     point = correct(problem, Z, border, max_iterations=1, samples=SAMPLES)
     _, check = verify_steps(problem, Z[:-1], Z[-1], point.at.stride)

@@ -41,11 +41,11 @@ _BESIDE = 1e-2
 #: changes over one by no more than this, relative: steps that almost end in a fall are
 #: far more curved than others.
 _DIFFERENCES, _MAX_CHANGE = (1e-4, 1e-7, 1e-10), 0.5
-#: Steps evaluated at a time, so that many gaits of many steps find room.
-_MOST_STEPS = 1 << 14
 #: The same of the characteristic polynomial, whose roots grow without bound beside
 #: strikes that turn tangential.
 _MAX_STEEPNESS = 0.05
+#: Steps evaluated at a time, so that many gaits of many steps find room in memory.
+_MOST_STEPS = 1 << 14
 
 
 def similarity(y: Sections, dy: Sections) -> Sections:

@@ -116,7 +116,7 @@ def characteristic_scale(stride: AnyStride) -> ndarray:
 #: Units in which a step is evaluated to see how it rounds; a number divisible by
 #: fifteen is exact in each.
 UNITS = (1.0, 0.75, 1.25, 0.9375)
-#: Steps evaluated at a time, so that many gaits of many steps find room.
+#: Steps evaluated at a time, so that many gaits of many steps find room in memory.
 _MOST_STEPS = 1 << 14
 #: Distance of neighbouring states: enough to round differently, and near enough to the
 #: gait even for long steps.

@@ -210,7 +210,8 @@ def _solution(matrices: ndarray, right: ndarray) -> ndarray:
     try:
         out[regular] = _solve(each[regular], right.T[regular])
     except np.linalg.LinAlgError:  # one of them is singular to the last digit
-        regular[regular] = np.linalg.det(each[regular]) != 0
+        # By its logarithm: the determinant itself may underflow.
+        regular[regular] = np.linalg.slogdet(each[regular])[0] != 0
         out[regular] = _solve(each[regular], right.T[regular])
     return out.T
 
@@ -291,7 +292,8 @@ class StepSequence:
             ]
         )
 
-        # Lanes of differences share most of their steps; those of others none.
+        # Lanes of differences share most of their steps, which have equal angles: each
+        # is evaluated once.
         place = np.arange(s * n)
         if len(np.unique(inputs[0])) < s * n:
             inputs, place = np.unique(inputs, axis=1, return_inverse=True)

@@ -53,8 +53,8 @@ _ORBITS, _SPREAD, _MAX_EXTENT = 640, 1e-9, 3.0
 #: in ln slope, that is expected: the first intervals of a cascade need not follow
 #: Feigenbaum's law.
 _FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
-#: Guesses whose first, second, ... step of Newton's method is larger are lost, and those
-#: that take so many: hardly one converges. Of guesses in one cell of this size after
+#: Largest first, second, ... step of Newton's method, and most steps: guesses beyond
+#: either are dropped, of which hardly one converges. Of guesses in one cell of this size after
 #: three steps, which lead to one gait, the nearest to it continues.
 _MAX_STEP_BY_ITERATION = (1.0, 0.8, 0.4, 0.2, 0.1, 0.05)
 _MAX_NEWTON, _MERGE_CELL = 12, 1e-2
@@ -495,6 +495,7 @@ class Orbits:
         Orbits that return close to themselves after n steps are polished by Newton on
         all n sections.
         """
+        assert n < len(self._after), "no orbit is as long"
         lanes = self._nearly_returning(n)
         if not len(lanes):
             return []

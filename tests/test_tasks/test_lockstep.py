@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gaitsweep.tasks.branches import atlas
 from gaitsweep.tasks.branches import segment as segments
 from gaitsweep.tasks.branches.atlas import survey
 from gaitsweep.tasks.branches.lockstep import Call, run, side_by_side
@@ -244,3 +245,51 @@ def test_a_survey_of_either_tolerance_has_accurate_nodes():
         off = np.abs(at.Z - branch.Z).max(axis=0)
         inner = np.flatnonzero(at.ok)[1:-1]
         assert off[inner].max() < 1e-11
+
+
+def test_orbits_have_no_cycles_longer_than_they_are():
+    problem, found = branches("D")
+    orbits = Orbits(problem, found, np.array([0.0177]), 2, 20)
+    with pytest.raises(AssertionError, match="no orbit is as long"):
+        orbits.cycles(3)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_an_end_narrowed_where_a_limit_is_passed_leaves_nodes_in_their_order(
+    monkeypatch, side
+):
+    """Of a run of one node, the outermost: beyond it the limit, before it a cut."""
+    _, (branch, *_) = branches("B")
+    n = len(branch.q)
+    run = (n - 1, n - 1) if side else (0, 0)
+    places = np.array([n - 1.6, n - 1.3]) if side else np.array([0.3, 0.6])
+    more = branch.at(places)
+    segment = n - 2 if side else 0
+    narrowed = branch.insert(np.full(2, segment + 1), more, more)
+    good = n + 1 if side else 0
+    asked = []
+
+    def cut(raw, *nodes):
+        return narrowed, good, "cut"
+        yield
+
+    def limit(raw, at):
+        asked.append((len(raw.q), at))
+        return "limit"
+        yield
+
+    monkeypatch.setattr(atlas, "_cut_end", cut)
+    monkeypatch.setattr(atlas, "_passed_limit", limit)
+
+    whole, first, last, ends = run_alone(atlas._located_ends(branch, *run))
+
+    # The limit is sought on what the cut has narrowed.
+    assert asked == [(n + 2, side)]
+    assert len(whole.q) == n + 2
+    assert ends == {side: "limit", 1 - side: "cut"}
+    assert (first, last) == ((n + 1, n) if side else (1, 0))
+
+
+def run_alone(procedure):
+    """What a procedure returns that asks for no calls."""
+    return run(ALONE, procedure)
