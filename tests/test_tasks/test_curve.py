@@ -758,5 +758,8 @@ def test_a_curve_ends_on_a_border_beyond_which_there_is_no_walker_and_in_a_corne
     found = curve(asked, [{}])
 
     assert found["curves/value"][0] == 0.2
-    assert found["curves/other_value"][[0, -1]].tolist() == [0.0, 1.0]
+    ends = found["curves/other_value"][[0, -1]]
+    # Both borders meet in the corner but for rounding.
+    assert ends.tolist() == pytest.approx([0.0, 1.0], abs=1e-12)
+    assert ends.min() >= 0
     assert found["curves/stopped"][[0, -1]].tolist() == ["border", "border"]
