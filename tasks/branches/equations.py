@@ -48,7 +48,7 @@ from gaitsweep.tasks.mechanics.sums import norm, total
 from gaitsweep.tasks.step.drive import OVER_SLOPE, Drive, over_slopes
 from gaitsweep.tasks.step.lanes import lanes_of
 from gaitsweep.tasks.step.problem import EPS, Lanes, Problem
-from gaitsweep.tasks.walkers.walker import Walker, WalkerError
+from gaitsweep.tasks.walkers.walker import ORDINARY, Walker, WalkerError
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 #: Step of the central differences by Z, and by keys over their ranges.
@@ -63,8 +63,6 @@ _ONE_STEP = Newton(max_iterations=1, max_step=np.inf, small=0.0, shrinking=1.0)
 _ON_CURVE = Newton(max_iterations=14, max_step=0.5, small=1e-8, shrinking=0.3)
 #: Newton step after which a point that only leads to others is accurate enough.
 _ENOUGH = 1e-7
-#: Share of its range at which a key has no special value.
-_ORDINARY = 0.4871
 #: Error of a point in estimates of what rounding moves it by; and a Newton step that is
 #: rounding, where keys are unknowns.
 _ROUNDING_FACTOR, _ROUNDING_WITH_KEYS = 16.0, 1e-14
@@ -112,7 +110,7 @@ class Keys:
         WalkerError
             If there is no such walker.
         """
-        ordinary = low + _ORDINARY * (high - low)
+        ordinary = low + ORDINARY * (high - low)
         walker_at(ordinary)
         return cls((name,), walker_at, (low,), (high,), (ordinary,))
 

@@ -10,10 +10,7 @@ from typing import Any
 from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.measures.names import check_measure
 from gaitsweep.tasks.walkers.resolve import walker_of_line, walkers_over
-from gaitsweep.tasks.walkers.walker import Walker, WalkerError
-
-#: Share of a key's range at which walkers are not special.
-_ORDINARY = 0.4871
+from gaitsweep.tasks.walkers.walker import ORDINARY, Walker, WalkerError
 
 
 def check(params: Mapping[str, Any]) -> None:
@@ -47,7 +44,7 @@ def walker_inside(line: Mapping[str, Any], options: Mapping[str, Any]) -> Walker
     own = walker_of_line(line)
     ranges = options["plane"] or {options["key"]: (options["from"], options["to"])}
     try:
-        values = [low + _ORDINARY * (high - low) for low, high in ranges.values()]
+        values = [low + ORDINARY * (high - low) for low, high in ranges.values()]
         return walkers_over(line, *ranges)(*values)
     except WalkerError:
         return own

@@ -91,8 +91,9 @@ def branch(
         `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate,
         shank_rate, period, error_bound, normal_form, normal_form_error, criticality), in
         the walker's units; `along` takes the place of the slope. Where these are wanted
-        `special_sensitivities` (branch, kind, slope, key, key_units, slope_by_key). `partly/reason`
-        names violations without an onset, since the walker cannot have them.
+        `special_sensitivities` (branch, kind, slope, key, key_units, slope_by_key).
+        `partly/reason` names violations without an onset, since the walker cannot have
+        them.
     """
     problem, unit = followed_over(params, int(params.get("steps", 1)))
     window = np.array([params["slope_from"], params["slope_to"]], float)

@@ -54,8 +54,8 @@ _ORBITS, _SPREAD, _MAX_EXTENT = 640, 1e-9, 3.0
 #: Feigenbaum's law.
 _FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
 #: Largest first, second, ... step of Newton's method, and most steps: guesses beyond
-#: either are dropped, of which hardly one converges. Of guesses in one cell of this size after
-#: three steps, which lead to one gait, the nearest to it continues.
+#: either are dropped, of which hardly one converges. Of guesses in one cell of this size
+#: after three steps, which lead to one gait, the nearest to it continues.
 _MAX_STEP_BY_ITERATION = (1.0, 0.8, 0.4, 0.2, 0.1, 0.05)
 _MAX_NEWTON, _MERGE_CELL = 12, 1e-2
 #: Initial states at a slope that are polished: those that return closest to themselves.
@@ -340,7 +340,7 @@ def _first_gaits(
         return _first_long_gait(problem, near, branches, slope)
 
     for k in range(len(slope)):
-        gaits = search_cycles(problem, branches, slope[[k]], n, starts)
+        gaits = Orbits(problem, branches, slope[[k]], n, starts).cycles(n)
         if gaits:
             return gaits
 
@@ -423,26 +423,6 @@ def _distinct(
             kept.append(i)
 
     return kept
-
-
-def search_cycles(
-    problem: Problem, branches: list[Branch], slopes: Slopes, n: int, starts: int
-) -> list[Point]:
-    """Search for the distinct gaits of exact period n at some slopes, as
-    `Orbits.cycles` does.
-
-    Parameters
-    ----------
-    problem : Problem
-    branches : list of Branch
-        The line's atlas.
-    slopes : ndarray, shape (k,) [rad]
-    n : int
-        Number of steps after which the gaits repeat.
-    starts : int
-        Initial states at each slope.
-    """
-    return Orbits(problem, branches, slopes, n, starts).cycles(n)
 
 
 class Orbits:

@@ -33,12 +33,10 @@ from gaitsweep.tasks.mechanics.arrays import Coordinates
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.studies.gaits_over_key import gaits_at
 from gaitsweep.tasks.walkers.resolve import resolve_many, value_of_key, walkers_over
-from gaitsweep.tasks.walkers.walker import Walker
+from gaitsweep.tasks.walkers.walker import ORDINARY, Walker
 from gaitsweep.tasks.walkers.walker_array import WalkerArray
 
 SLOPE = "slope"
-#: Share of its range at which a key has no special value.
-_ORDINARY = 0.4871
 _RADIUS, _RATIO = "spectral_radius", "heelstrike_rate_ratio"
 #: What is told of every optimum beside its objective and what limits it.
 _TOLD = (
@@ -74,7 +72,7 @@ class Box:
     def keys(self) -> Keys:
         """The keys as unknowns."""
         low, high = self._ends
-        ordinary = low + _ORDINARY * (high - low)
+        ordinary = low + ORDINARY * (high - low)
         return Keys(
             tuple(self.free),
             self.walker_at,

@@ -52,12 +52,10 @@ from gaitsweep.tasks.walkers.resolve import (
     walker_of_line,
     walkers_over,
 )
-from gaitsweep.tasks.walkers.walker import Walker, WalkerError
+from gaitsweep.tasks.walkers.walker import ORDINARY, Walker, WalkerError
 
 #: Window of slopes that is searched by default [rad].
 _WINDOW = (1e-6, SLOPES[1])
-#: Share of a key's range at which it has no special value, as 0 is.
-_ORDINARY = 0.4871
 #: Relative change of a measure over a key that is rounding.
 _UNCHANGED = 1e-10
 
@@ -210,7 +208,7 @@ def check_target(params: Mapping[str, Any]) -> dict[str, Any]:
     if target.vary == SLOPE:
         return {**checked, "sought": ()}
 
-    value = target.low + _ORDINARY * (target.high - target.low)
+    value = target.low + ORDINARY * (target.high - target.low)
     middle = check({**line, "set": {**line["set"], target.vary: value}})
     moved = [key for key, movers in middle["varied"].items() if target.vary in movers]
     high = check({**line, "set": {**line["set"], target.vary: target.high}})

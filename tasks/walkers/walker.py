@@ -33,6 +33,8 @@ OF_DRIVE = ("push_off", *OF_HIP, "hip_rest")
 #: drives them last.
 OF_PASSIVE = ("slope", *(key for key in NUMBERS if key not in OF_DRIVE))
 DIFFERENTIATED = (*OF_PASSIVE, *OF_DRIVE)
+#: Share of a range at which a key has no special value, as 0 is.
+ORDINARY = 0.4871
 #: Least and largest value of each number by itself.
 BOUNDS = {
     k: (_ALL[k].get("least", -MAX_SIZE), _ALL[k].get("largest", MAX_SIZE))

@@ -205,9 +205,9 @@ def test_guesses_of_a_search_are_corrected_side_by_side(monkeypatch):
         "newton",
         lambda *a, **k: corrected.append(a[1].shape[1]) or newton(*a, **k),
     )
-    found = locate_cascade.search_cycles(
-        problem, from_arrays(_atlas("D", ())), np.array([0.0126]), 3, 200
-    )
+    branches = from_arrays(_atlas("D", ()))
+    orbits = locate_cascade.Orbits(problem, branches, np.array([0.0126]), 3, 200)
+    found = orbits.cycles(3)
     assert [gait.at.stride.steps for gait in found] == [3, 3]  # of both sides of a fold
     coarsely, exactly = corrected
     assert coarsely > exactly == len(found)

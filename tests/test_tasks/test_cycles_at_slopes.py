@@ -30,7 +30,7 @@ from gaitsweep.tasks.step.several_steps import (
 )
 from gaitsweep.tasks.studies import follow_cycles
 from gaitsweep.tasks.studies.follow_cycles import cycle_branches
-from gaitsweep.tasks.studies.locate_cascade import search_cycles
+from gaitsweep.tasks.studies.locate_cascade import Orbits
 from gaitsweep.tasks.studies.solve_at_slope import solve_one
 from gaitsweep.tasks.walkers.catalogue import CATALOGUE
 from lines import branches as atlas_of
@@ -408,7 +408,7 @@ def test_a_search_finds_every_gait_at_a_slope():
     """Those to which exact integration of all guesses leads."""
     problem, known = atlas_of("D")
 
-    found = search_cycles(problem, known, np.array([0.0189]), 4, 300)
+    found = Orbits(problem, known, np.array([0.0189]), 4, 300).cycles(4)
 
     radii = [abs(gait.at.multipliers[0, 0]) for gait in found]
     assert radii == pytest.approx([4.592890282, 91.69654024, 174.6124980], rel=1e-8)

@@ -23,7 +23,7 @@ from gaitsweep.tasks.branches.tracking import (
 from gaitsweep.tasks.gaits import newton, rounding
 from gaitsweep.tasks.gaits.newton import curvature
 from gaitsweep.tasks.gaits.rounding import rounding_std
-from gaitsweep.tasks.studies.locate_cascade import Orbits, search_cycles
+from gaitsweep.tasks.studies.locate_cascade import Orbits
 from lines import branches
 
 ALONE = SimpleNamespace(some=lambda lanes: lanes)
@@ -202,7 +202,7 @@ def test_cycles_of_several_periods_are_found_among_the_same_orbits():
     slopes = np.array([0.0177, 0.0189])
     orbits = Orbits(problem, found, slopes, 4, 100)
     for n in (2, 3, 4):
-        alone = search_cycles(problem, found, slopes, n, 100)
+        alone = Orbits(problem, found, slopes, n, 100).cycles(n)
         among = orbits.cycles(n)
         assert len(among) == len(alone) > 0
         for one, other in zip(among, alone, strict=True):
