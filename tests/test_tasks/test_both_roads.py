@@ -400,9 +400,11 @@ def test_gaits_of_a_plane_over_a_drive_are_measured_with_what_drives_each():
     alone = lines_side_by_side(request, [])
     is_gait = plane["status"] == status.CONVERGED
     assert is_gait.any(axis=1).all()
+    assert (plane["push_off_work"][is_gait] > 0).all()
     for name in names:
         of_lines = np.vstack([points[name] for _, points in alone])
         of_plane = plane[name][is_gait]
+        assert np.isfinite(of_plane).all()
         np.testing.assert_allclose(of_plane, of_lines[is_gait], rtol=1e-8)
 
 
