@@ -131,8 +131,11 @@ _waiting = _Waiting()
 def prepare_compiler(structure: Structure) -> None:
     """Set heyoka's threads, and the compile cache of a structure; every factory of
     compiled code calls it first.
+
+    Compact code has a cache of its own: a question of few points would spend a fifth of
+    its time on reading and checking the code of grids.
     """
-    compile_cache.use(repr(structure))
+    compile_cache.use(repr((structure, is_compact())))
     hy.set_nthreads(1)
 
 
@@ -240,7 +243,8 @@ class Flow:
         Parameters
         ----------
         state : ndarray, shape (size, n)
-            Initial scaled state and variations.
+            Initial scaled state and variations; the last variations may be left out,
+            which then begin as zero.
         parameters : ndarray, shape (n_parameters, n)
             Slope, scale and the structure's constants.
         duration : ndarray, shape (n,) [sqrt(leg/g)]
@@ -254,9 +258,9 @@ class Flow:
         motion : ndarray, shape (samples + 1, angles, n)
             Angles and rates; of no samples where none are asked for.
         """
-        began, n = time.process_time(), state.shape[1]
+        began, (rows, n) = time.process_time(), state.shape
         batch = _Batch(
-            whole_groups(state, self.lanes),
+            whole_groups(self._completed(state), self.lanes),
             self._parameters(whole_groups(parameters[: self._used], self.lanes)),
             whole_groups(duration, self.lanes),
             samples,
@@ -274,7 +278,14 @@ class Flow:
         self.evaluations += n
         self.idle += width - n
         self.seconds += time.process_time() - began
-        return batch.final[:, :n], batch.motion[:, :, :n]
+        return batch.final[:rows, :n], batch.motion[:, :, :n]
+
+    def _completed(self, state: np.ndarray) -> np.ndarray:
+        """A state with zeros for the variations that are left out."""
+        missing = self.size - len(state)
+        if not missing:
+            return state
+        return np.vstack([state, np.zeros((missing, state.shape[1]))])
 
     def _integrate_alone(self, batch: _Batch, lost: np.ndarray) -> None:
         """Integrate groups with a lane that is lost again, lane by lane."""
@@ -347,6 +358,9 @@ def flow(
     """
     compact = is_compact()
     structure = structure.between_strikes()
+    if compact and directions and not coarse:
+        # One flow fewer to compile and to load: who follows branches needs this one.
+        directions, with_slope = directions + (not with_slope), True
     key = structure, directions, with_slope, coarse, dissipates, compact
     if key not in FLOWS:
         prepare_compiler(structure)

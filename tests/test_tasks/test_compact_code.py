@@ -58,6 +58,17 @@ def test_no_flow_is_compact_where_an_archive_is_made(tmp_path, monkeypatch):
     assert kernel.FLOWS and all(compact for *_, compact in kernel.FLOWS)
 
 
+def test_a_question_takes_two_flows(monkeypatch):
+    """One for the search, and one with the slope's direction for all else."""
+    monkeypatch.setattr(kernel, "FLOWS", {})
+
+    with compact_code(print):
+        solve_one({"walker": "B", "set": {"R": 0.2707}, "slope": 0.009})
+
+    flows = {(directions, coarse) for _, directions, _, coarse, *_ in kernel.FLOWS}
+    assert flows == {(3, True), (4, False)}
+
+
 def over_slopes(radius):
     line = {"walker": "B", "set": {"R": radius}}
     solve_points.atlas({"line": line, "coarse": True}, [])
