@@ -788,10 +788,12 @@ def _points(plan: Plan, chunk: Chunk) -> Points:
         return Points.of_ending(chunk.points, atlas.status, reason, graph.variables)
 
     points = store.points(key, graph.variables)
-    if graph.method is not Method.ALONE:
-        # They are cheaper to compute again than to keep.
-        store.drop(key)
+    if graph.method is Method.ALONE:
+        # Who asks may change the answer, but not what is remembered.
+        return points.copy()
 
+    # They are cheaper to compute again than to keep.
+    store.drop(key)
     return points
 
 

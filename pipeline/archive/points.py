@@ -199,7 +199,7 @@ class PointWriter:
                 record = self._record(chunk, key)
                 with self.plan.store.reading():
                     head = ChunkCodec.summary(record.head)
-                    payload = memoryview(record.payload)
+                    payload = memoryview(record.data)
                     pieces = self._pieces(chunk.shape, head, payload)
 
                 for (name, g), piece in pieces.items():

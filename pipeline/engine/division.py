@@ -77,7 +77,7 @@ def _of_part(
     is_point = lines * slopes == 1 and not has_atlases
 
     outcome: str = ""
-    parts: list[bytes] = []
+    parts: list[Any] = []
     if lines * slopes <= (request.most or math.inf):
         again: tuple[str, ...] = ()
         if is_point:
@@ -102,7 +102,7 @@ def _of_part(
 
 
 def _of_whole(
-    parts: list[bytes], places: np.ndarray | None
+    parts: list[Any], places: np.ndarray | None
 ) -> tuple[Record, list[AtlasAnswer]]:
     """Record and atlases that were answered together."""
     head, payload, *packed = parts

@@ -128,7 +128,7 @@ class Loop:
         if job := self._by_key.get(node.key):
             job.owners.append((work, node))
         elif node.key in self._found:
-            work.copy(node, Answer(data=self._found.get(node.key).payload))
+            work.copy(node, Answer(data=self._found.get(node.key).data))
         else:
             self._ask(place, work, node)
 

@@ -211,7 +211,7 @@ class Work:
             chunk.shape,
             graph.grid.multipliers,
             self.plan.study.gaits,
-            is_archived=not graph.in_memory,
+            is_packed=not graph.in_memory,
             keys=graph.grid.keys,
         )
 
@@ -240,7 +240,7 @@ class Work:
         for need in (*node.needs, *self._charts_of(node)):
             outcome = store.outcome(need)
             if outcome and outcome.status == "ok":
-                yield store.get(need).payload
+                yield store.get(need).data
 
     def record(self, node: Node, answer: Answer) -> None:
         """Store the answer for a node that was taken."""

@@ -143,7 +143,7 @@ def _answer(
 
 def packed(
     returned: Any, params: dict[str, Any], codec: ChunkCodec | None
-) -> list[bytes]:
+) -> list[Any]:
     """What a task with these parameters has returned, packed: one result, or head and
     payload of a chunk's record, then the atlases of its lines, if they are wanted.
     """

@@ -106,13 +106,14 @@ class Journal(Store):
 
         earlier = self.number(key)
         number = self._last + 1
-        sums = file.sums(number, key, *record)
+        sums = file.sums(number, key, record.head, record.data)
         self._execute(
             "INSERT INTO records VALUES (?, ?, ?, ?, ?, ?)",
             number,
             key,
             *sums,
-            *record,
+            record.head,
+            record.data,
         )
         self._last = number
         if earlier:  # if this is lost, the later one counts

@@ -56,7 +56,7 @@ class Memory(Store):
             self.drop(key)
         self._last = next(self._numbers)
         self._records[key] = self._last, record
-        self.size += sum(map(len, record))
+        self.size += record.size
 
     def trim(self) -> None:
         """Drop records beyond the bound, those that were not used longest first."""
@@ -66,7 +66,7 @@ class Memory(Store):
     def drop(self, key: str) -> None:
         """Drop a record."""
         _, record = self._records.pop(key)
-        self.size -= sum(map(len, record))
+        self.size -= record.size
 
     def get(self, key: str) -> Record:
         """A record, which counts as used."""

@@ -121,6 +121,11 @@ class Points:
         values["reason"] = np.full(shape, number, REASON)
         return cls(values, {number: reason})
 
+    def copy(self) -> "Points":
+        """The same in arrays of its own."""
+        values = {name: array.copy() for name, array in self.values.items()}
+        return Points(values, self.sentences)
+
     def take(self, rows: ndarray) -> "Points":
         """Some of the points, in that order."""
         if np.array_equal(rows, np.arange(len(self))):

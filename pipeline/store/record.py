@@ -2,7 +2,7 @@
 
 A head lists the contents; the pieces, one for each variable and gait, follow each other
 in the payload. Writers of archives copy them unopened; readers of the values unpack
-them.
+them. In memory the payload is the points as they are.
 """
 
 import dataclasses
@@ -33,10 +33,26 @@ from gaitsweep.tasks.contract.registry import VARIABLES
 
 
 class Record(NamedTuple):
-    """What a store keeps under a key."""
+    """What a store keeps under a key; the payload of a chunk that is kept in memory is
+    its points.
+    """
 
     head: bytes
-    payload: bytes
+    payload: bytes | Points
+
+    @property
+    def data(self) -> bytes:
+        """The payload, packed."""
+        assert isinstance(self.payload, bytes)
+        return self.payload
+
+    @property
+    def size(self) -> int:
+        """Bytes of both."""
+        payload = self.payload
+        if isinstance(payload, bytes):
+            return len(self.head) + len(payload)
+        return len(self.head) + sum(array.nbytes for array in payload.values.values())
 
 
 @dataclass(frozen=True)
@@ -49,8 +65,6 @@ class Head:
     multipliers, keys : int
     gaits : frozenset of str
         Labels that were solved.
-    is_archived : bool
-        Whether values are packed as an archive holds them.
     columns : dict
         Number of gaits of each variable.
     statuses : ndarray of int, shape (n, gaits)
@@ -70,7 +84,6 @@ class Head:
     multipliers: int
     keys: int
     gaits: frozenset[str]
-    is_archived: bool
     columns: dict[str, int]
     statuses: ndarray
     occurrences: ndarray
@@ -142,11 +155,7 @@ class Head:
         for gait in range(self.columns[name]):
             piece = self.piece(payload, name, gait)
             assert piece
-            if self.is_archived:
-                values = self.shape.fold(unpack(piece.data, dtype.str, extent))
-            else:
-                values = np.frombuffer(piece.data, dtype).reshape(points, *more)
-            columns.append(values)
+            columns.append(self.shape.fold(unpack(piece.data, dtype.str, extent)))
 
         if columns:
             return np.stack(columns, axis=1)
@@ -166,8 +175,9 @@ class ChunkCodec:
         Most of any walker of the study.
     gaits : sequence of str
         Labels that were solved.
-    is_archived : bool
-        Whether values are packed as an archive holds them; else they are as they are.
+    is_packed : bool
+        Whether points are packed as an archive holds them; else they are kept as they
+        are.
     keys : int
         By how many of the slope and keys of walkers measures are differentiated.
     """
@@ -175,58 +185,68 @@ class ChunkCodec:
     shape: Shape
     multipliers: int
     gaits: Sequence[str]
-    is_archived: bool = True
+    is_packed: bool = True
     keys: int = 0
 
     def encode(self, points: Points) -> Record:
-        """Pack points, without the last gaits that none of them has.
+        """Pack points, without the last gaits that none of them has, or keep them.
 
         `status` and `reason` are of all gaits.
         """
-        status = points.values["status"]
-        there = np.isin(status, OF_GAITS).any(axis=0)
-        gaits = 1 + int(np.flatnonzero(there).max(initial=-1))
+        whole = {name: self._whole(name, a) for name, a in points.values.items()}
+        if not self.is_packed:
+            kept = Points(whole, points.sentences)
+            return Record(self._head(points, dict.fromkeys(whole, 0), []), kept)
 
+        there = np.isin(whole["status"], OF_GAITS).any(axis=0)
+        gaits = 1 + int(np.flatnonzero(there).max(initial=-1))
         columns: dict[str, int] = {}
         pieces: list[Packed] = []
-        for name, array in points.values.items():
+        for name, array in whole.items():
             columns[name] = array.shape[1]
             if name not in ("status", "reason"):
                 columns[name] = min(gaits, array.shape[1])
-            pieces += self._pieces(name, array, columns[name])
+            pieces += self._pieces(name, array[:, : columns[name]])
 
-        head = {
-            "shape": dataclasses.astuple(self.shape),
-            "multipliers": self.multipliers,
-            "keys": self.keys,
-            "gaits": list(self.gaits),
-            "is_archived": self.is_archived,
-            "names": list(columns),
-            "columns": np.array(list(columns.values())),
-            "sizes": np.array([len(piece.data) for piece in pieces]),
-            "checksums": np.array([piece.checksum for piece in pieces]),
-            **_counted(points),
-        }
         payload = b"".join(piece.data for piece in pieces)
-        return Record(serialize.dump(head), payload)
+        return Record(self._head(points, columns, pieces), payload)
 
-    def _pieces(self, name: str, array: ndarray, columns: int) -> list[Packed]:
-        """Pack a variable, gait by gait."""
+    def _whole(self, name: str, array: ndarray) -> ndarray:
+        """Values with as many multipliers, and derivatives by keys, as the study has."""
         if has_multipliers(name):
             array = widened(name, array, (array.shape[1], self.multipliers))
         if "key" in VARIABLES[name].dims:
             array = array[..., : self.keys]
+        return array
+
+    def _pieces(self, name: str, array: ndarray) -> list[Packed]:
+        """Pack a variable, gait by gait."""
         extent = _extent(name, self.shape, self.multipliers, self.keys)
 
         pieces = []
-        for gait in range(columns):
-            values = array[:, gait]
-            if self.is_archived:
-                pieces.append(pack_values(self.shape.unfold(values), extent))
-            else:
-                pieces.append(Packed(values.tobytes(), 0))
+        for gait in range(array.shape[1]):
+            values = self.shape.unfold(array[:, gait])
+            pieces.append(pack_values(values, extent))
 
         return pieces
+
+    def _head(
+        self, points: Points, columns: dict[str, int], pieces: list[Packed]
+    ) -> bytes:
+        """Head of a record with pieces of so many gaits of each variable."""
+        return serialize.dump(
+            {
+                "shape": dataclasses.astuple(self.shape),
+                "multipliers": self.multipliers,
+                "keys": self.keys,
+                "gaits": list(self.gaits),
+                "names": list(columns),
+                "columns": np.array([*columns.values()], int),
+                "sizes": np.array([len(piece.data) for piece in pieces], int),
+                "checksums": np.array([piece.checksum for piece in pieces], int),
+                **_counted(points),
+            }
+        )
 
     @staticmethod
     @functools.lru_cache(256)
@@ -250,7 +270,6 @@ class ChunkCodec:
             found["multipliers"],
             found["keys"],
             frozenset(found["gaits"]),
-            found["is_archived"],
             dict(zip(found["names"], counts.tolist(), strict=True)),
             found["rows"],
             found["of_row"],
@@ -264,10 +283,17 @@ class ChunkCodec:
     @classmethod
     def decode(cls, record: Record, names: Iterable[str] | None = None) -> Points:
         """Points of a record, with all variables that it holds or some of them."""
-        head = cls.summary(record.head)
-        payload = memoryview(record.payload)
-        values = {name: head.unpack(payload, name) for name in names or head.columns}
-        return Points(values, head.sentences())
+        head, payload = cls.summary(record.head), record.payload
+        names = names or head.columns
+        if isinstance(payload, Points):
+            return Points(
+                {name: payload.values[name] for name in names}, head.sentences()
+            )
+
+        packed = memoryview(payload)
+        return Points(
+            {name: head.unpack(packed, name) for name in names}, head.sentences()
+        )
 
 
 def _counted(points: Points) -> dict[str, ndarray]:

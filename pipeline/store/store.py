@@ -126,4 +126,4 @@ class Store(ABC):
         if outcome is None or outcome.status != "ok":
             return None
         with self.reading():
-            return serialize.load(self.get(key).payload)
+            return serialize.load(self.get(key).data)

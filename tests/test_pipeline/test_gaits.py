@@ -592,3 +592,13 @@ def test_lines_that_fail_side_by_side_are_surveyed_alone(asked, monkeypatch):
         == CONVERGED
     ).all()
     assert asked == ["atlas"] * 2 + ["points"] * 2
+
+
+def test_who_changes_an_answer_does_not_change_the_next():
+    slopes = [0.0081, 0.0082]
+    answer = gaitsweep.gaits("D", slopes)
+    angles = answer.stance_angle.values.copy()
+
+    answer.stance_angle[:] = 0.0
+
+    np.testing.assert_array_equal(gaitsweep.gaits("D", slopes).stance_angle, angles)
