@@ -67,7 +67,7 @@ class Display:
             now = [study.state() for study in self.open]
             state = total([self.past, *now])
             if self.number == 1:
-                return state
+                return self._counted_down(state)
 
             elapsed = time.monotonic() - self.start
             state["studies"] = f"{self.over:,} of {self.number:,}"
@@ -77,7 +77,18 @@ class Display:
                 eta = state["eta"] + waiting * self._seconds_of_one(state, len(now))
                 state |= {"points": self.points, "eta": eta, "overdue": False}
 
-            return state
+            return self._counted_down(state)
+
+    def _counted_down(self, state: dict[str, Any]) -> dict[str, Any]:
+        """A state whose time to go falls while jobs run, too: it was estimated when a
+        result came last.
+        """
+        latest = max((study.changed for study in self.open), default=self.start)
+        left = state["eta"] - (time.monotonic() - latest)
+        is_late = left < 0 < state["eta"]
+
+        overdue = state["overdue"] or is_late
+        return {**state, "eta": max(0.0, left), "overdue": overdue}
 
     def _seconds_of_one(self, state: dict[str, Any], running: int) -> float:
         """Seconds that a study which waits will take: those that are over took the time

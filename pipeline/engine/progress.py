@@ -45,7 +45,7 @@ class Progress(Listener):
         verbose: bool = False,
     ):
         self.plan, self.engine, self.quiet, self.verbose = plan, engine, quiet, verbose
-        self.start = time.monotonic()
+        self.start = self.changed = time.monotonic()  # and when a result came last
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
         self.costs = {
             name: plan.graph.seconds(name) for name, n in self.todo.items() if n
@@ -80,6 +80,7 @@ class Progress(Listener):
     def finished(self, done: Finished) -> None:
         """Count a node whose result is stored."""
         node = done.node
+        self.changed = time.monotonic()
         if done.worker and self.engine.address:
             member = done.worker["host"], done.worker["pid"]
             self.remote_workers[member] = time.monotonic(), done.worker

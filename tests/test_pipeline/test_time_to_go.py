@@ -6,7 +6,6 @@ import os
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -108,14 +107,30 @@ STATE = {
 }  # fmt: skip
 
 
-def _displayed(monkeypatch, screen):
+class Shown:
+    """A study in that state, of which a result came so many seconds ago."""
+
+    def __init__(self, seconds):
+        self.seconds = seconds
+
+    @property
+    def changed(self):
+        return time.monotonic() - self.seconds
+
+    def state(self):
+        return STATE
+
+    def log_state(self):
+        """Nothing."""
+
+
+def _displayed(monkeypatch, screen, seconds=0.0):
     """What a display writes to a screen within some of its intervals."""
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setattr(display, "_BAR", 0.01)
     monkeypatch.setattr(display, "_LINE", 0.01)
-    study = SimpleNamespace(state=lambda: STATE, log_state=lambda: None)
     with display.Display([9], quiet=False) as shown:
-        shown.begin(study)
+        shown.begin(Shown(seconds))
         time.sleep(0.2)
     return screen.getvalue()
 
@@ -139,6 +154,15 @@ def test_the_progress_in_a_file_is_a_line_now_and_then(monkeypatch):
 
     assert len(lines) > 1
     assert {*lines} == {"340 of 1,000 points (34 %), 42 a second, 19.7 s to go"}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "told"), [(5.0, "14.7 s to go"), (30.0, "longer than planned")]
+)
+def test_the_time_to_go_falls_while_jobs_run(monkeypatch, seconds, told):
+    lines = _displayed(monkeypatch, io.StringIO(), seconds).splitlines()
+
+    assert lines and all(line.endswith(told) for line in lines)
 
 
 @pytest.mark.soak
