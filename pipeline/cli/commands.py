@@ -3,6 +3,7 @@ only if it is given.
 """
 
 import argparse
+import logging
 import os
 import re
 import sys
@@ -127,11 +128,28 @@ def _resolved(options: dict[str, Any]) -> dict[str, Any]:
     return keywords
 
 
+class _Teller(logging.Handler):
+    """Shows what is logged: warnings, and at a terminal what takes long.
+
+    Workers have their own, by which a run shows what they log.
+    """
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show what was logged."""
+        if record.levelno >= logging.WARNING or terminal.is_terminal():
+            terminal.say(record.getMessage())
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     terminal.prepare()
     # To start threads, which none needs, takes a tenth of a second.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    logger = logging.getLogger("gaitsweep")
+    if not logger.handlers:
+        logger.setLevel(logging.INFO)
+        logger.addHandler(_Teller())
+
     words, codes = list(sys.argv[1:] if arguments is None else arguments), list[int]()
     words = words or ["--help"]
     with report_errors(codes, "--debug" in words):

@@ -154,6 +154,7 @@ class Workers:
             # none.
             self.slots = int(joblib.effective_n_jobs(jobs))
 
+        self._say, self._told = say, set[str]()
         if self.slots < jobs:
             say("One worker computes at a time: /dev/shm cannot be written.")
         self._tickets = itertools.count()
@@ -207,7 +208,8 @@ class Workers:
         return ticket
 
     def completed(self, timeout: float) -> Iterator[tuple[Ticket, Answer]]:
-        """Answers in the outbox."""
+        """Answers in the outbox; what the workers have said meanwhile is passed on."""
+        self._pass_on()
         with contextlib.suppress(queue.Empty):
             answer = self._outbox.get(timeout=timeout)
             while True:
@@ -216,6 +218,15 @@ class Workers:
                 self._in_flight -= 1
                 yield answer
                 answer = self._outbox.get_nowait()
+
+    def _pass_on(self) -> None:
+        """Say what workers have said, each sentence once."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                sentence = worker_process.said.get_nowait()
+                if sentence not in self._told:
+                    self._told.add(sentence)
+                    self._say(sentence)
 
 
 def _serve(

@@ -6,11 +6,14 @@ Started as `python -m gaitsweep.pipeline.engine.worker_main PARENT CONNECTION` b
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import logging
 import os
 import resource
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -40,6 +43,7 @@ def serve(parent: int, number: int) -> None:
 
     os.set_inheritable(number, False)
     connection = Connection(number)
+    parent_told = _Teller(connection)
     from gaitsweep.pipeline import serialize
 
     warm: set[str] = set()
@@ -55,7 +59,7 @@ def serve(parent: int, number: int) -> None:
             function = resolve(request.function)
             _limit_memory(request.memory)
         except Exception as error:
-            connection.send(("broken", described(error)))
+            parent_told.send("broken", described(error))
             continue
 
         inputs = [serialize.load(packed) for packed in request.inputs]
@@ -63,12 +67,35 @@ def serve(parent: int, number: int) -> None:
         try:
             memory = _pages(1)
         except OSError as error:
-            connection.send(("broken", described(error)))
+            parent_told.send("broken", described(error))
             continue
 
-        connection.send(("started", memory))
+        parent_told.send("started", memory)
         outcome, result = _answer(function, request.params, inputs, request.codec)
-        connection.send((outcome, clock.lap(), result))
+        parent_told.send(outcome, clock.lap(), result)
+
+
+class _Teller(logging.Handler):
+    """Sends the parent messages: answers, and what is logged meanwhile, perhaps by
+    another thread, as what "said".
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        super().__init__(logging.INFO)
+        self._connection, self._sending = connection, threading.Lock()
+        logger = logging.getLogger("gaitsweep")
+        logger.setLevel(logging.INFO)
+        logger.addHandler(self)
+
+    def send(self, *message: Any) -> None:
+        """Send a message whole."""
+        with self._sending:
+            self._connection.send(message)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Send what is logged, unless nobody listens any more."""
+        with contextlib.suppress(OSError):
+            self.send("said", record.getMessage().removeprefix("gaitsweep: "))
 
 
 def _warm_up(

@@ -9,6 +9,7 @@ responsible.
 import contextlib
 import os
 import platform
+import queue
 import resource
 import signal
 import subprocess
@@ -34,6 +35,8 @@ _THREADS = (
     "BLIS_NUM_THREADS",
 )
 _PROGRAM = "gaitsweep.pipeline.engine.worker_main"
+#: What workers have said meanwhile, for who waits.
+said: queue.SimpleQueue[str] = queue.SimpleQueue()
 _local = threading.local()
 _workers: set["WorkerProcess"] = set()
 # An event has a lock, which a signal handler may find taken by its own thread.
@@ -123,7 +126,13 @@ class WorkerProcess:
 
     def _answer(self, seconds: float, memory: int | None = None) -> Any:
         last_poll = time.monotonic()
-        while not self._connection.poll(min(_POLL_INTERVAL, max(0.0, seconds))):
+        while True:
+            if self._connection.poll(min(_POLL_INTERVAL, max(0.0, seconds))):
+                answer = self._connection.recv()
+                if answer[0] != "said":
+                    return answer
+                said.put(answer[1])
+
             if _is_closing:
                 raise WorkerError("The run is being stopped.")
 
@@ -135,8 +144,6 @@ class WorkerProcess:
                 raise TimeoutError
             if memory is not None and resident(self.process.pid) > memory:
                 raise MemoryError
-
-        return self._connection.recv()
 
     def _death(self) -> str:
         with contextlib.suppress(subprocess.TimeoutExpired):

@@ -5,6 +5,7 @@ SIMD lanes.
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import threading
 import time
@@ -103,9 +104,9 @@ class _Waiting:
         self.is_told = False
 
     @contextlib.contextmanager
-    def telling(self, tell: Callable[[str], object] | None) -> Iterator[None]:
+    def telling(self, tell: Callable[[str], object]) -> Iterator[None]:
         """Count the time that something takes to compile."""
-        if tell is None or self.is_told:
+        if self.is_told:
             yield
             return
 
@@ -126,6 +127,11 @@ class _Waiting:
 
 
 _waiting = _Waiting()
+
+
+def _log(sentence: str) -> None:
+    """Tell who runs the process, if he listens."""
+    logging.getLogger("gaitsweep").info("gaitsweep: %s", sentence)
 
 
 def prepare_compiler(structure: Structure) -> None:
@@ -368,7 +374,7 @@ def flow(
         other = (structure, directions + 1, True)
         is_single = with_slope or coarse or dissipates
         with (
-            _waiting.telling(_teller.get()),
+            _waiting.telling(_teller.get() or _log),
             compile_cache.turn(
                 repr(key),
                 (lambda: None) if is_single else (lambda: flow(*other)),

@@ -5,6 +5,7 @@ import fcntl
 import functools
 import itertools
 import json
+import logging
 import math
 import os
 import re
@@ -89,6 +90,20 @@ def quickest(*arguments, cwd=None, tries=3):
     return least("-m", "gaitsweep", *arguments) / max(
         1.0, least("-c", "import numpy") / 0.15
     )
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_command_shows_what_is_logged(is_terminal, monkeypatch, capsys):
+    monkeypatch.setattr(commands.terminal, "is_terminal", lambda: is_terminal)
+    assert commands.main(["walkers"]) == 0
+    capsys.readouterr()
+
+    logger = logging.getLogger("gaitsweep")
+    logger.info("It takes long.")
+    logger.warning("It is wrong.")
+
+    shown = capsys.readouterr().err.splitlines()
+    assert shown == ["It takes long."] * is_terminal + ["It is wrong."]
 
 
 def test_help_is_quick():

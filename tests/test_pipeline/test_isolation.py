@@ -103,6 +103,16 @@ def test_a_line_without_an_atlas_costs_its_block_nothing(toy):
     assert all("no atlas here" in str(each) for each in reasons.ravel())
 
 
+def test_what_workers_log_is_said_once(toy):
+    """Each line has a point that logs the same."""
+    toy.write(LIMITED)
+
+    err = toy("run", "toy.toml", "--chunk", 5, TOY_TROUBLE="log@0.05").stderr
+
+    assert err.count("engine: Trouble is in sight.\n") == 1
+    assert (opened(toy).status.sel(gait="long") == 0).all()
+
+
 def test_a_run_that_was_suspended_blames_no_point(toy):
     """All of its processes stopped for longer than a point may take, as a scheduler
     does; the worker wakes last.

@@ -1,6 +1,7 @@
 """Toy tasks with known answers and every way to go wrong, in place of the real ones."""
 
 import builtins
+import logging
 import os
 import signal
 import time
@@ -88,6 +89,8 @@ def _trouble(slope, kinds):
     for kind in kinds.split():
         name, _, place = kind.partition("@")
         if abs(slope - float(place)) < 1e-9:
+            if name == "log":
+                logging.getLogger("gaitsweep").info("gaitsweep: Trouble is in sight.")
             if name == "raise":
                 raise RuntimeError(f"trouble at {slope:.3f}")
             if name == "exit":
@@ -106,9 +109,13 @@ def _trouble(slope, kinds):
                 open("hung", "x").close()
                 time.sleep(1000)
             if name == "eat":
-                hoard = []
-                while True:
-                    hoard.append(np.ones(1 << 22))
+                _eat()
+
+
+def _eat():
+    hoard = []
+    while True:
+        hoard.append(np.ones(1 << 22))
 
 
 def fit(params, inputs):

@@ -119,6 +119,18 @@ def test_who_waits_for_a_compiler_is_told_once(monkeypatch, capsys):
     assert capsys.readouterr().err == ""
 
 
+def test_that_full_code_is_compiled_is_logged(monkeypatch, caplog):
+    """By which runs, and commands at a terminal, tell who waits."""
+    monkeypatch.setattr(kernel, "FLOWS", {})
+    monkeypatch.setattr(kernel, "_PATIENCE", 0.0)
+    monkeypatch.setattr(kernel, "_waiting", kernel._Waiting())
+
+    with caplog.at_level("INFO", "gaitsweep"):
+        gaits_of("D")
+
+    assert caplog.messages == [f"gaitsweep: {TOLD}"]
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("walker", FIRST)
 def test_a_first_answer_comes_soon(walker, tmp_path):
