@@ -31,7 +31,7 @@ class Answering(Engine):
     def open(self, say):
         yield self
 
-    def has_room(self):
+    def has_room(self, seconds=0.0):
         return len(self._submitted) < self.slots
 
     def submit(self, request):

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 
 from gaitsweep.pipeline.archive.provenance import software
 from gaitsweep.pipeline.engine import worker_process
+from gaitsweep.pipeline.engine.places import LONG
 from gaitsweep.pipeline.engine.request import Answer, Request
 from gaitsweep.pipeline.errors import (
     StudyError,
@@ -310,13 +311,14 @@ class Cluster:
         """Jobs that the cluster runs at once."""
         return self.team.slots
 
-    def has_room(self) -> bool:
-        """Whether a worker would wait for its second request; jobs of workers that
-        leave stay.
+    def has_room(self, seconds: float = 0.0) -> bool:
+        """Whether a worker waits, or would wait for its second request, which takes so
+        long; jobs of workers that leave stay.
         """
         if sentence := self.team.count():
             self._say(sentence)
-        return bool(self._pending.count() < 2 * self.team.slots)
+        each = 2 if seconds < LONG else 1
+        return bool(self._pending.count() < each * self.team.slots)
 
     def submit(self, request: Any) -> int:
         """Send a request to the cluster."""

@@ -99,10 +99,13 @@ class Loop:
     def _turn(self, place: Place) -> int:
         """Submit what there is room for, and record what has come; returns how much."""
         self.check()
-        while place.has_room() and (ready := self._ready()):
-            for work in ready:
-                if place.has_room():
+        is_full = False
+        while not is_full:
+            is_full = True
+            for work, node in self._ready():
+                if place.has_room(work.seconds(node)):
                     self._submit(place, work)
+                    is_full = False
 
         recorded = 0
         if self._running:
@@ -114,13 +117,13 @@ class Loop:
         self._open_and_close()
         return recorded
 
-    def _ready(self) -> list[Work]:
-        """Studies with a node that is ready; the first is that whose node, with the
-        longest chain of others that wait for it, takes longest.
+    def _ready(self) -> list[tuple[Work, Node]]:
+        """Studies with a node that is ready, and it; the first is that whose node, with
+        the longest chain of others that wait for it, takes longest.
         """
         ready = [(work, node) for work in self.works if (node := work.peek())]
-        ready.sort(key=lambda pair: -pair[0].seconds(pair[1]))
-        return [work for work, _ in ready]
+        ready.sort(key=lambda pair: -pair[0].seconds_of_chain(pair[1]))
+        return ready
 
     def _submit(self, place: Place, work: Work) -> None:
         """Submit the next node of a study, unless its result is there, or to come."""

@@ -19,8 +19,10 @@ from gaitsweep.pipeline.engine.worker_main import packed
 from gaitsweep.pipeline.errors import described
 
 MAX_JOBS = 1000  # worker processes on one computer
-#: Requests that wait for a worker, so that none waits while the parent stores results.
-_SPARE = 1
+#: Requests that wait for a worker, so that none waits while the parent stores results;
+#: none where the next takes longer than so many seconds, since what becomes ready
+#: meanwhile may be more urgent.
+_SPARE, LONG = 1, 1.0
 Ticket = int
 Say = Callable[[str], None]
 
@@ -32,8 +34,8 @@ class Place(Protocol):
     def slots(self) -> int:
         """Requests that are computed at a time."""
 
-    def has_room(self) -> bool:
-        """Whether another request should be submitted now."""
+    def has_room(self, seconds: float = 0.0) -> bool:
+        """Whether another request, which takes so long, should be submitted now."""
 
     def submit(self, request: Request) -> Ticket:
         """Submit a request; its answer comes with this ticket."""
@@ -65,7 +67,7 @@ class Inline:
         self._tickets = itertools.count()
         self._submitted: list[tuple[Ticket, Request]] = []
 
-    def has_room(self) -> bool:
+    def has_room(self, seconds: float = 0.0) -> bool:
         """Whether another request is taken."""
         return len(self._submitted) < self.room
 
@@ -196,9 +198,12 @@ class Workers:
         except BaseException as error:
             self._outbox.put(error)
 
-    def has_room(self) -> bool:
-        """Whether a worker would wait for its next request."""
-        return self._in_flight < self.slots + _SPARE
+    def has_room(self, seconds: float = 0.0) -> bool:
+        """Whether a worker waits, or would wait for its next request, which takes so
+        long.
+        """
+        spare = _SPARE if seconds < LONG else 0
+        return self._in_flight < self.slots + spare
 
     def submit(self, request: Request) -> Ticket:
         """Put a request into the inbox."""

@@ -169,12 +169,16 @@ class Work:
             nodes.clear()
 
     def seconds(self, node: Node) -> float:
-        """Estimated time of a node, and of what depends on it [s]."""
+        """Estimated time of a node [s]."""
         graph = self.plan.graph
         seconds = graph.size(node) * graph.seconds(node.task)
         if node.lines:
             seconds += node.lines * graph.seconds("atlas")
-        return seconds + graph.seconds_after[node.task]
+        return seconds
+
+    def seconds_of_chain(self, node: Node) -> float:
+        """Estimated time of a node, and of what depends on it [s]."""
+        return self.seconds(node) + self.plan.graph.seconds_after[node.task]
 
     def request(self, node: Node) -> Request:
         """What a worker is asked for a node that was taken."""

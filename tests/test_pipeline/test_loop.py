@@ -341,6 +341,21 @@ def test_no_answer_is_lost(monkeypatch):
     assert {ticket: int(answer.reason) for ticket, answer in found.items()} == submitted
 
 
+def test_what_takes_long_is_submitted_when_a_worker_waits(monkeypatch):
+    """What becomes ready meanwhile may be more urgent; short jobs wait in a queue."""
+    hold = threading.Event()
+
+    def run(request):
+        hold.wait()
+        return Answer()
+
+    with guarded(monkeypatch, run, 1) as place:
+        assert place.has_room(9.0)
+        place.submit(Request("", {}, [], 1.0, 1))
+        assert place.has_room(0.1) and not place.has_room(9.0)
+        hold.set()
+
+
 def threads_beyond(number):
     """Threads that are left after some seconds, beyond so many."""
     end = time.monotonic() + 5
