@@ -48,11 +48,11 @@ def for_question(
     and walkers, is wanted; what is archived is computed without. Who waits at a
     terminal or a notebook is told of it.
     """
-    if points > _FEW_POINTS or walkers > _FEW_WALKERS:
-        return contextlib.nullcontext()
-    compact_code = resolve("gaitsweep.tasks.mechanics.kernel:compact_code")
-    compact: contextlib.AbstractContextManager[None] = compact_code(_tell)
-    return compact
+    is_large = points > _FEW_POINTS or walkers > _FEW_WALKERS
+    code = "told" if is_large else "compact_code"
+    compiling = resolve(f"gaitsweep.tasks.mechanics.kernel:{code}")
+    context: contextlib.AbstractContextManager[None] = compiling(_tell)
+    return context
 
 
 #: After how many seconds who waits for an answer is told what takes so long.

@@ -382,7 +382,7 @@ def _in_order(
     places, points = zip(*parts, strict=True)
     order = np.argsort(np.concatenate(places))
     multipliers = max((check["multipliers"] for check in checks), default=3)
-    return joined(points, (len(GAITS), multipliers)).take(order)
+    return joined(points, len(GAITS), multipliers).take(order)
 
 
 def _along_slopes(

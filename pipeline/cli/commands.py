@@ -3,12 +3,13 @@ only if it is given.
 """
 
 import argparse
+import contextlib
 import logging
 import os
 import re
 import sys
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -128,7 +129,7 @@ def _resolved(options: dict[str, Any]) -> dict[str, Any]:
     return keywords
 
 
-class _Teller(logging.Handler):
+class _Shown(logging.Handler):
     """Shows what is logged: warnings, and at a terminal what takes long.
 
     Workers have their own, by which a run shows what they log.
@@ -137,7 +138,21 @@ class _Teller(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Show what was logged."""
         if record.levelno >= logging.WARNING or terminal.is_terminal():
-            terminal.say(record.getMessage())
+            message = record.getMessage().removeprefix("gaitsweep: ")
+            terminal.say(f"gaitsweep: {message}")
+
+
+@contextlib.contextmanager
+def _showing_what_is_logged() -> Iterator[None]:
+    logger, shown = logging.getLogger("gaitsweep"), _Shown()
+    level = logger.level
+    logger.setLevel(logging.INFO)
+    logger.addHandler(shown)
+    try:
+        yield
+    finally:
+        logger.removeHandler(shown)
+        logger.setLevel(level)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -145,14 +160,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     terminal.prepare()
     # To start threads, which none needs, takes a tenth of a second.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    logger = logging.getLogger("gaitsweep")
-    if not logger.handlers:
-        logger.setLevel(logging.INFO)
-        logger.addHandler(_Teller())
-
     words, codes = list(sys.argv[1:] if arguments is None else arguments), list[int]()
     words = words or ["--help"]
-    with report_errors(codes, "--debug" in words):
+    with report_errors(codes, "--debug" in words), _showing_what_is_logged():
         try:
             options = parser(words).parse_args(words)
             codes.append(options.run(options))

@@ -79,12 +79,15 @@ class Display:
 
             return self._counted_down(state)
 
+    def _latest(self) -> float:
+        """When the latest result of the studies came; now where none is open."""
+        return max((study.changed for study in self.open), default=time.monotonic())
+
     def _counted_down(self, state: dict[str, Any]) -> dict[str, Any]:
         """A state whose time to go falls while jobs run, too: it was estimated when a
         result came last.
         """
-        latest = max((study.changed for study in self.open), default=self.start)
-        left = state["eta"] - (time.monotonic() - latest)
+        left = state["eta"] - (time.monotonic() - self._latest())
         is_late = left < 0 < state["eta"]
 
         overdue = state["overdue"] or is_late
@@ -95,7 +98,7 @@ class Display:
         until now; before any is, it is as those that run.
         """
         if self.over > running:
-            return (time.monotonic() - self.start) / self.over
+            return (self._latest() - self.start) / self.over
         return float(state["eta"]) / max(1, running)
 
     def _tick(self) -> None:

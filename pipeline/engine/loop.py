@@ -99,13 +99,8 @@ class Loop:
     def _turn(self, place: Place) -> int:
         """Submit what there is room for, and record what has come; returns how much."""
         self.check()
-        is_full = False
-        while not is_full:
-            is_full = True
-            for work, node in self._ready():
-                if place.has_room(work.seconds(node)):
-                    self._submit(place, work)
-                    is_full = False
+        while self._submit_most_urgent(place):
+            pass
 
         recorded = 0
         if self._running:
@@ -116,6 +111,19 @@ class Loop:
 
         self._open_and_close()
         return recorded
+
+    def _submit_most_urgent(self, place: Place) -> int:
+        """Submit a node of each study while there is room, the most urgent first, which
+        nothing less urgent overtakes; returns how many.
+        """
+        submitted = 0
+        for work, node in self._ready():
+            if not place.has_room(work.seconds(node)):
+                break
+            self._submit(place, work)
+            submitted += 1
+
+        return submitted
 
     def _ready(self) -> list[tuple[Work, Node]]:
         """Studies with a node that is ready, and it; the first is that whose node, with

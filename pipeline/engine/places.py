@@ -19,10 +19,11 @@ from gaitsweep.pipeline.engine.worker_main import packed
 from gaitsweep.pipeline.errors import described
 
 MAX_JOBS = 1000  # worker processes on one computer
-#: Requests that wait for a worker, so that none waits while the parent stores results;
-#: none where the next takes longer than so many seconds, since what becomes ready
-#: meanwhile may be more urgent.
-_SPARE, LONG = 1, 1.0
+#: Requests that wait for a worker, so that none waits while the parent stores results.
+_SPARE = 1
+#: What takes longer does not wait in this way, since what becomes ready meanwhile may be
+#: more urgent [s].
+LONG = 1.0
 Ticket = int
 Say = Callable[[str], None]
 
@@ -170,6 +171,7 @@ class Workers:
         self._guards = threading.Thread(target=self._guard, daemon=True)
 
     def __enter__(self) -> "Workers":
+        worker_process.said()  # what an earlier run was told too late
         self._guards.start()
         return self
 
@@ -184,6 +186,7 @@ class Workers:
         for _number in range(self.slots):
             self._inbox.put(None)
         self._guards.join()
+        self._pass_on()
 
     def _guard(self) -> None:
         """Run the guards, until each has taken the end from the inbox."""
@@ -213,7 +216,7 @@ class Workers:
         return ticket
 
     def completed(self, timeout: float) -> Iterator[tuple[Ticket, Answer]]:
-        """Answers in the outbox; what the workers have said meanwhile is passed on."""
+        """Answers in the outbox; what the workers have said is passed on."""
         self._pass_on()
         with contextlib.suppress(queue.Empty):
             answer = self._outbox.get(timeout=timeout)
@@ -226,12 +229,10 @@ class Workers:
 
     def _pass_on(self) -> None:
         """Say what workers have said, each sentence once."""
-        with contextlib.suppress(queue.Empty):
-            while True:
-                sentence = worker_process.said.get_nowait()
-                if sentence not in self._told:
-                    self._told.add(sentence)
-                    self._say(sentence)
+        for sentence in worker_process.said():
+            if sentence not in self._told:
+                self._told.add(sentence)
+                self._say(sentence)
 
 
 def _serve(

@@ -168,7 +168,9 @@ class Progress(Listener):
             done, todo = self.done[name], self.todo[name]
             planned = todo / 2 if name == "charts" else int(not done)
             mean = (self.seconds[name] + planned * cost) / (done + planned)
-            left = mean * max(0, todo - done) / self.engine.jobs
+            number = max(0, todo - done)
+            # Of few, which are no longer divided among workers, some wait.
+            left = mean * number / min(self.engine.jobs, max(1, number))
             stages[name] = {"done": round(done), "todo": todo, "eta": round(left, 1)}
 
         return stages

@@ -6,7 +6,6 @@ Started as `python -m gaitsweep.pipeline.engine.worker_main PARENT CONNECTION` b
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import logging
 import os
@@ -43,7 +42,7 @@ def serve(parent: int, number: int) -> None:
 
     os.set_inheritable(number, False)
     connection = Connection(number)
-    parent_told = _Teller(connection)
+    messages = _Messages(connection)
     from gaitsweep.pipeline import serialize
 
     warm: set[str] = set()
@@ -59,7 +58,7 @@ def serve(parent: int, number: int) -> None:
             function = resolve(request.function)
             _limit_memory(request.memory)
         except Exception as error:
-            parent_told.send("broken", described(error))
+            messages.send("broken", described(error))
             continue
 
         inputs = [serialize.load(packed) for packed in request.inputs]
@@ -67,17 +66,17 @@ def serve(parent: int, number: int) -> None:
         try:
             memory = _pages(1)
         except OSError as error:
-            parent_told.send("broken", described(error))
+            messages.send("broken", described(error))
             continue
 
-        parent_told.send("started", memory)
+        messages.send("started", memory)
         outcome, result = _answer(function, request.params, inputs, request.codec)
-        parent_told.send(outcome, clock.lap(), result)
+        messages.send(outcome, clock.lap(), result)
 
 
-class _Teller(logging.Handler):
-    """Sends the parent messages: answers, and what is logged meanwhile, perhaps by
-    another thread, as what "said".
+class _Messages(logging.Handler):
+    """Messages to the parent: answers, and what is logged meanwhile, perhaps by another
+    thread, which begin with "said".
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -93,9 +92,11 @@ class _Teller(logging.Handler):
             self._connection.send(message)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Send what is logged, unless nobody listens any more."""
-        with contextlib.suppress(OSError):
+        """Send what is logged; an error is none of who logs."""
+        try:
             self.send("said", record.getMessage().removeprefix("gaitsweep: "))
+        except Exception:
+            self.handleError(record)
 
 
 def _warm_up(

@@ -6,10 +6,10 @@ has one worker process. A chunk that fails is divided and tried again, down to t
 responsible.
 """
 
+import collections
 import contextlib
 import os
 import platform
-import queue
 import resource
 import signal
 import subprocess
@@ -35,8 +35,8 @@ _THREADS = (
     "BLIS_NUM_THREADS",
 )
 _PROGRAM = "gaitsweep.pipeline.engine.worker_main"
-#: What workers have said meanwhile, for who waits.
-said: queue.SimpleQueue[str] = queue.SimpleQueue()
+#: What workers have said last, for who waits; on the nodes of a cluster nobody asks.
+_said: collections.deque[str] = collections.deque(maxlen=100)
 _local = threading.local()
 _workers: set["WorkerProcess"] = set()
 # An event has a lock, which a signal handler may find taken by its own thread.
@@ -131,7 +131,7 @@ class WorkerProcess:
                 answer = self._connection.recv()
                 if answer[0] != "said":
                     return answer
-                said.put(answer[1])
+                _said.append(answer[1])
 
             if _is_closing:
                 raise WorkerError("The run is being stopped.")
@@ -164,6 +164,14 @@ def resident(process: int | str) -> int:
             return int(file.read().split()[1]) * resource.getpagesize()
     except (OSError, IndexError):
         return 0
+
+
+def said() -> list[str]:
+    """What workers have said since this was asked last."""
+    sentences = []
+    while _said:
+        sentences.append(_said.popleft())
+    return sentences
 
 
 def stop() -> None:

@@ -75,7 +75,7 @@ class _Lines:
             stored = self._chunk(k).values
             parts.append(Points({name: stored[name][rows] for name in self.names}))
 
-        values = joined(parts, (len(GAITS), grid.multipliers)).values
+        values = joined(parts, len(GAITS), grid.multipliers).values
         for name in self.names:
             values[name][:, self.others] = VARIABLES[name].absent
         return {"slope": self.plan.study.values_along[:: self.step], **values}

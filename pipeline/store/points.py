@@ -56,7 +56,7 @@ class Points:
     @classmethod
     def of_task(cls, returned: Any, params: Mapping[str, Any]) -> "Points":
         """What a task with these parameters returns for a chunk of a line, or of lines
-        side by side with their atlases.
+        side by side with their atlases; its arrays are handed on, not copied.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class Points:
         return Points(values, self.sentences)
 
 
-def joined(parts: Sequence[Points], least: tuple[int, int] = (0, 0)) -> Points:
+def joined(parts: Sequence[Points], gaits: int = 0, multipliers: int = 0) -> Points:
     """Points one after the other; of a variable as many gaits and multipliers as any
     part has, and at least so many.
     """
@@ -146,7 +146,8 @@ def joined(parts: Sequence[Points], least: tuple[int, int] = (0, 0)) -> Points:
     for name in parts[0].values:
         arrays = [part.values[name] for part in parts]
         inner = [array.shape[1:] for array in arrays]
-        sizes = zip(least[: len(inner[0])], *inner, strict=True)
+        least = gaits, *inner_sizes(name, multipliers, 0)
+        sizes = zip(least, *inner, strict=True)
         shape = tuple(map(max, sizes))
         wide = [widened(name, array, shape) for array in arrays]
         values[name] = wide[0]

@@ -25,7 +25,6 @@ from gaitsweep.pipeline.store.points import (
     REASON,
     Points,
     dtype_of,
-    has_multipliers,
     inner_sizes,
     widened,
 )
@@ -42,7 +41,7 @@ class Record(NamedTuple):
 
     @property
     def data(self) -> bytes:
-        """The payload, packed."""
+        """The payload of a record that is packed."""
         assert isinstance(self.payload, bytes)
         return self.payload
 
@@ -66,7 +65,7 @@ class Head:
     gaits : frozenset of str
         Labels that were solved.
     columns : dict
-        Number of gaits of each variable.
+        Number of packed gaits of each variable.
     statuses : ndarray of int, shape (n, gaits)
         Distinct rows of `status`.
     occurrences : ndarray of int, shape (n,)
@@ -213,11 +212,10 @@ class ChunkCodec:
 
     def _whole(self, name: str, array: ndarray) -> ndarray:
         """Values with as many multipliers, and derivatives by keys, as the study has."""
-        if has_multipliers(name):
-            array = widened(name, array, (array.shape[1], self.multipliers))
+        inner = inner_sizes(name, self.multipliers, self.keys)
         if "key" in VARIABLES[name].dims:
             array = array[..., : self.keys]
-        return array
+        return widened(name, array, (array.shape[1], *inner))
 
     def _pieces(self, name: str, array: ndarray) -> list[Packed]:
         """Pack a variable, gait by gait."""

@@ -2,8 +2,9 @@
 as it was written.
 
 heyoka reads the whole cache that it opens, and executes what it finds there; it has no
-checksums of it. So each structure has a folder of its own: who asks about one walker
-reads and checks what was compiled for such walkers alone. A folder or file that another
+checksums of it. So each structure has a folder of its own, and another for compact
+code: who asks about one walker reads and checks what was compiled for such walkers
+alone. A folder or file that another
 user may change is not used. Damage crashes a process or changes numbers: beside each
 cache, a file keeps the checksum of every entry as it was first seen; a cache with another
 entry than that, or one that cannot be read, is removed and fills again.

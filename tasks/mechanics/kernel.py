@@ -63,7 +63,8 @@ _COARSE = 1e-7
 #: Options of heyoka for compact code, which is compiled in a tenth of the time and takes
 #: two to three times as long. More optimisation costs a third more and gains a tenth.
 COMPACT: dict[str, Any] = {"compact_mode": True, "opt_level": 1}
-#: Who is told of a long compilation, where compact code will do; else None.
+_is_compact: ContextVar[bool] = ContextVar("is_compact", default=False)
+#: Who is told of a long compilation, if not who listens to the log.
 _teller: ContextVar[Callable[[str], object] | None] = ContextVar("teller", default=None)
 #: After how many seconds of compilation, in all, who waits is told of it.
 _PATIENCE = 1.0
@@ -72,7 +73,7 @@ _TOLD = "Compiling the equations of motion, once on this computer."
 
 def is_compact() -> bool:
     """Whether flows are compact now."""
-    return _teller.get() is not None
+    return _is_compact.get()
 
 
 @contextlib.contextmanager
@@ -86,6 +87,19 @@ def compact_code(tell: Callable[[str], object]) -> Iterator[None]:
     ----------
     tell : callable
         Is given a sentence, once in a process, where the compilation takes long.
+    """
+    token = _is_compact.set(True)
+    try:
+        with told(tell):
+            yield
+    finally:
+        _is_compact.reset(token)
+
+
+@contextlib.contextmanager
+def told(tell: Callable[[str], object]) -> Iterator[None]:
+    """Let a function be given a sentence, once in a process, where compilation takes
+    long.
     """
     token = _teller.set(tell)
     try:
@@ -104,9 +118,9 @@ class _Waiting:
         self.is_told = False
 
     @contextlib.contextmanager
-    def telling(self, tell: Callable[[str], object]) -> Iterator[None]:
+    def telling(self, tell: Callable[[str], object] | None) -> Iterator[None]:
         """Count the time that something takes to compile."""
-        if self.is_told:
+        if tell is None or self.is_told:
             yield
             return
 
@@ -114,7 +128,8 @@ class _Waiting:
         delay = max(0.0, _PATIENCE - self.seconds)
         timer = threading.Timer(delay, self._tell, [tell])
         timer.daemon = True
-        timer.start()
+        with contextlib.suppress(RuntimeError):  # there is no memory for a thread
+            timer.start()
         try:
             yield
         finally:
@@ -129,9 +144,11 @@ class _Waiting:
 _waiting = _Waiting()
 
 
-def _log(sentence: str) -> None:
-    """Tell who runs the process, if he listens."""
-    logging.getLogger("gaitsweep").info("gaitsweep: %s", sentence)
+def _listener() -> Callable[[str], object] | None:
+    """Who is told that something is compiled; None if nobody listens."""
+    logger = logging.getLogger("gaitsweep")
+    is_logged = logger.isEnabledFor(logging.INFO)
+    return _teller.get() or (logger.info if is_logged else None)
 
 
 def prepare_compiler(structure: Structure) -> None:
@@ -141,7 +158,10 @@ def prepare_compiler(structure: Structure) -> None:
     Compact code has a cache of its own: a question of few points would spend a fifth of
     its time on reading and checking the code of grids.
     """
-    compile_cache.use(repr((structure, is_compact())))
+    name = repr(structure)
+    if is_compact():
+        name = f"compact {name}"
+    compile_cache.use(name)
     hy.set_nthreads(1)
 
 
@@ -249,8 +269,7 @@ class Flow:
         Parameters
         ----------
         state : ndarray, shape (size, n)
-            Initial scaled state and variations; the last variations may be left out,
-            which then begin as zero.
+            Initial scaled state and variations.
         parameters : ndarray, shape (n_parameters, n)
             Slope, scale and the structure's constants.
         duration : ndarray, shape (n,) [sqrt(leg/g)]
@@ -264,9 +283,9 @@ class Flow:
         motion : ndarray, shape (samples + 1, angles, n)
             Angles and rates; of no samples where none are asked for.
         """
-        began, (rows, n) = time.process_time(), state.shape
+        began, n = time.process_time(), state.shape[1]
         batch = _Batch(
-            whole_groups(self._completed(state), self.lanes),
+            whole_groups(state, self.lanes),
             self._parameters(whole_groups(parameters[: self._used], self.lanes)),
             whole_groups(duration, self.lanes),
             samples,
@@ -284,14 +303,7 @@ class Flow:
         self.evaluations += n
         self.idle += width - n
         self.seconds += time.process_time() - began
-        return batch.final[:rows, :n], batch.motion[:, :, :n]
-
-    def _completed(self, state: np.ndarray) -> np.ndarray:
-        """A state with zeros for the variations that are left out."""
-        missing = self.size - len(state)
-        if not missing:
-            return state
-        return np.vstack([state, np.zeros((missing, state.shape[1]))])
+        return batch.final[:, :n], batch.motion[:, :, :n]
 
     def _integrate_alone(self, batch: _Batch, lost: np.ndarray) -> None:
         """Integrate groups with a lane that is lost again, lane by lane."""
@@ -364,9 +376,6 @@ def flow(
     """
     compact = is_compact()
     structure = structure.between_strikes()
-    if compact and directions and not coarse:
-        # One flow fewer to compile and to load: who follows branches needs this one.
-        directions, with_slope = directions + (not with_slope), True
     key = structure, directions, with_slope, coarse, dissipates, compact
     if key not in FLOWS:
         prepare_compiler(structure)
@@ -374,7 +383,7 @@ def flow(
         other = (structure, directions + 1, True)
         is_single = with_slope or coarse or dissipates
         with (
-            _waiting.telling(_teller.get() or _log),
+            _waiting.telling(_listener()),
             compile_cache.turn(
                 repr(key),
                 (lambda: None) if is_single else (lambda: flow(*other)),

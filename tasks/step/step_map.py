@@ -37,6 +37,7 @@ from gaitsweep.tasks.mechanics.kernel import (
     LANES,
     CompiledFunction,
     flow,
+    is_compact,
     prepare_compiler,
     whole_groups,
 )
@@ -355,7 +356,7 @@ class StrideMap:
         parameters : ndarray, shape (n_parameters, n)
             Slope, scale and the structure's constants.
         by_drive : bool
-            Also differentiate by the drive.
+            Also differentiate by the drive; compact code always does, but for a search.
         samples : int
             Equal intervals of each phase at whose ends the motion is also returned.
         coarse : bool
@@ -367,6 +368,9 @@ class StrideMap:
             NaN in lanes whose integration failed.
         """
         m, n = y.shape
+        # Compact code has one flow for steps with and without that derivative: it is
+        # sooner compiled and loaded than a second one.
+        by_drive = by_drive or (is_compact() and not coarse)
         begin = self._begin(y, parameters, by_drive)
         # Along its motion nothing but the slope or a torque acts.
         in_motion = by_drive and not self.by_push

@@ -14,7 +14,7 @@ from gaitsweep.pipeline.engine import worker_process
 from gaitsweep.pipeline.engine.engine import Engine
 from gaitsweep.pipeline.engine.listener import Listener
 from gaitsweep.pipeline.engine.loop import Loop, run_all
-from gaitsweep.pipeline.engine.places import Inline, Workers
+from gaitsweep.pipeline.engine.places import LONG, Inline, Workers
 from gaitsweep.pipeline.engine.request import Answer, Request
 from gaitsweep.pipeline.errors import StoppedError, StudyError, WorkerError
 from gaitsweep.pipeline.store.memory import Memory
@@ -354,6 +354,19 @@ def test_what_takes_long_is_submitted_when_a_worker_waits(monkeypatch):
         place.submit(Request("", {}, [], 1.0, 1))
         assert place.has_room(0.1) and not place.has_room(9.0)
         hold.set()
+
+
+def test_nothing_less_urgent_overtakes_what_takes_long():
+    """Short jobs of another study filled the place for ever, as one came after another."""
+    works = [work_of(LINES.format("s")), work_of(LINES.format("t"))]
+    urgent = works[0]
+    urgent.seconds, urgent.seconds_of_chain = lambda node: 9.0, lambda node: 99.0
+    place = Answering(ok)
+    place.has_room = lambda seconds: seconds < LONG
+    loop = Loop(place, lambda: None, lambda: works.pop(0) if works else None)
+    loop._open_and_close()
+
+    assert loop._submit_most_urgent(place) == 0 and not place.asked
 
 
 def threads_beyond(number):

@@ -572,6 +572,15 @@ def test_the_time_to_go_is_the_sum_of_its_stages(shown):
     assert state["eta"] == pytest.approx(17.1, abs=0.1)
 
 
+def test_the_last_node_takes_as_long_as_the_others(shown):
+    """It was told as a third of it, as if the three workers shared it."""
+    atlas = types.SimpleNamespace(task="atlas", chunk=None, line=0, lines=0)
+    for _ in range(7):
+        shown.finished(Finished(atlas, 1, seconds=6.0))
+
+    assert shown.state()["stages"]["atlas"]["eta"] == 6.0
+
+
 def test_laws_are_fitted_to_the_wanted_gaits_only(tmp_path, monkeypatch):
     """Those that an earlier run has stored were fitted too: another archive than that
     of a fresh run.

@@ -23,6 +23,8 @@ from gaitsweep.pipeline.store.memory import Memory
 from gaitsweep.pipeline.store.points import Points, joined, sentence_number
 from gaitsweep.pipeline.store.record import ChunkCodec, Record
 from gaitsweep.pipeline.store.store import Outcome
+from gaitsweep.tasks.contract import variables
+from gaitsweep.tasks.contract.registry import VARIABLES
 from processes import damaged
 
 N = 40  # records in a store of the tests
@@ -566,9 +568,25 @@ def test_points_that_are_kept_are_those_that_are_packed(name):
 
     assert packed.sentences == kept.sentences
     for variable, values in packed.values.items():
-        gaits = values.shape[1]
+        gaits, absent = values.shape[1], VARIABLES[variable].absent
         np.testing.assert_array_equal(kept.values[variable][:, :gaits], values)
+        np.testing.assert_array_equal(kept.values[variable][:, gaits:], absent)
         assert kept.values[variable].dtype == values.dtype
+
+
+def test_points_that_failed_have_the_sizes_of_the_others():
+    """Those that are kept had no derivatives, instead of absent ones by each key."""
+    variables.admit(["speed_by_key"])
+    shape = SHAPES["part of a line"]
+    names = ("speed_by_key", "multiplier_real", "status", "reason")
+    failed = Points.of_ending(
+        int(np.prod(shape.sizes)), "raised", "It is wrong.", names
+    )
+
+    for is_packed in (True, False):
+        found = decode(ChunkCodec(shape, 4, ["long"], is_packed, 15).encode(failed))
+        assert found.values["speed_by_key"].shape[2:] == (15,)
+        assert found.values["multiplier_real"].shape[2:] == (4,)
 
 
 def test_points_lie_in_the_grid_as_their_lines_and_slopes_say():

@@ -165,6 +165,15 @@ def test_the_time_to_go_falls_while_jobs_run(monkeypatch, seconds, told):
     assert lines and all(line.endswith(told) for line in lines)
 
 
+def test_the_time_to_go_does_not_rise_while_studies_wait(monkeypatch):
+    """Two are over after 20 s, so that each of the seven that wait takes 10 s."""
+    shown = display.Display([9] * 10, quiet=True)
+    shown.over, shown.open = 2, [Shown(5.0)]
+    shown.start = time.monotonic() - 25.0
+
+    assert shown._state()["eta"] == pytest.approx(19.7 + 7 * 10.0 - 5.0, abs=0.5)
+
+
 @pytest.mark.soak
 def test_the_time_to_go_of_a_real_run(toy, tell):
     """Toy points, a tenth of which cost twenty times as much as the others."""

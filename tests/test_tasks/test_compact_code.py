@@ -58,15 +58,25 @@ def test_no_flow_is_compact_where_an_archive_is_made(tmp_path, monkeypatch):
     assert kernel.FLOWS and all(compact for *_, compact in kernel.FLOWS)
 
 
-def test_a_question_takes_two_flows(monkeypatch):
-    """One for the search, and one with the slope's direction for all else."""
+@pytest.mark.parametrize(
+    ("walker", "keys", "slope", "phases"),
+    [
+        ("B", {"R": 0.2707}, 0.009, 1),
+        ("B", {"R": 0.2707, "push_off": 0.13}, 0.0, 1),
+        ("C", {"m_h": 0.0123}, 0.02, 2),
+    ],
+)
+def test_a_question_takes_two_flows_of_a_phase(
+    walker, keys, slope, phases, monkeypatch
+):
+    """One for the search, and one with the drive's direction for all else."""
     monkeypatch.setattr(kernel, "FLOWS", {})
 
     with compact_code(print):
-        solve_one({"walker": "B", "set": {"R": 0.2707}, "slope": 0.009})
+        solve_one({"walker": walker, "set": keys, "slope": slope})
 
-    flows = {(directions, coarse) for _, directions, _, coarse, *_ in kernel.FLOWS}
-    assert flows == {(3, True), (4, False)}
+    searches = [key for key in kernel.FLOWS if key[3]]
+    assert len(searches) == phases and len(kernel.FLOWS) == 2 * phases
 
 
 def over_slopes(radius):
@@ -125,10 +135,13 @@ def test_that_full_code_is_compiled_is_logged(monkeypatch, caplog):
     monkeypatch.setattr(kernel, "_PATIENCE", 0.0)
     monkeypatch.setattr(kernel, "_waiting", kernel._Waiting())
 
+    gaits_of("D")  # nobody listens
+    assert not caplog.messages and not kernel._waiting.is_told
+
+    monkeypatch.setattr(kernel, "FLOWS", {})
     with caplog.at_level("INFO", "gaitsweep"):
         gaits_of("D")
-
-    assert caplog.messages == [f"gaitsweep: {TOLD}"]
+    assert caplog.messages == [TOLD]
 
 
 @pytest.mark.thorough
