@@ -100,12 +100,8 @@ class Strides:
         """Of the residual by y, the event times and the slope, shape (m + k, m + k + 1,
         n).
         """
-        by = self.one.derivative.copy()
+        by = self._of_images_and_guards
         m = len(self.one.y)
-        # A step's equation has its own section; in a gait of several that after it
-        # takes its place.
-        of_one = np.arange(m)
-        by[of_one, of_one] += 1.0
         before = np.roll(by[:m], 1, axis=2)
         missed = self._in_places(before, 1)
         guards = self._in_places(by[m:], 0)
@@ -114,6 +110,36 @@ class Strides:
         of_all = np.arange(len(self.y))
         out[of_all, of_all] -= 1.0
         return out
+
+    def carried(self, rows: ndarray) -> ndarray:
+        """Product of rows (i, m + k, n) with the derivatives of what steps lead to, and
+        of their guards, by the sections, shape (i, m, n).
+
+        A section acts on the section after it and on its own step's guards alone.
+        """
+        m = len(self.one.y)
+        s = self.steps
+        n = rows.shape[-1]
+        of_sections = rows[:, : s * m].reshape(-1, s, m, n)
+        of_guards = rows[:, s * m :].reshape(len(rows), s, -1, n)
+        after = np.roll(of_sections, -1, axis=1)
+        of_step = np.concatenate([after, of_guards], axis=2)
+
+        by = self._of_images_and_guards[:, :m]
+        product = matvec(of_step.swapaxes(1, 2)[:, :, None], by)
+        return product.swapaxes(1, 2).reshape(-1, s * m, n)
+
+    @property
+    def _of_images_and_guards(self) -> ndarray:
+        """Derivatives of where each step leads, and of its guards, by its own section,
+        event times and the slope, shape (m/s + k/s, m/s + k/s + 1, s, n).
+        """
+        by = self.one.derivative.copy()
+        # A step's equation has its own section; in a gait of several that after it
+        # takes its place.
+        of_one = np.arange(len(self.one.y))
+        by[of_one, of_one] += 1.0
+        return by
 
     def _in_places(self, by: ndarray, before: int) -> ndarray:
         """Derivatives of values of every step by all unknowns, shape (s, i, m + k + 1,
@@ -190,6 +216,32 @@ def _in_a_row(values: ndarray) -> ndarray:
     i, n).
     """
     return np.concatenate([*values.swapaxes(0, 1)])
+
+
+#: What bits of columns are multiplied by, before they are added up: an odd number.
+_MIXER = np.uint64(0x9E3779B97F4A7C15)
+
+
+def _distinct(columns: ndarray) -> tuple[ndarray, ndarray]:
+    """The first of every distinct column of an array (i, n), in their order, and of
+    each column that one's place among these, shape (n,).
+    """
+    bits = np.ascontiguousarray(columns).view(np.uint64)
+    mixed = np.zeros(columns.shape[1], np.uint64)
+    for row in bits:
+        mixed = (mixed ^ row) * _MIXER
+        mixed ^= mixed >> np.uint64(32)
+
+    _, first, place = np.unique(mixed, return_index=True, return_inverse=True)
+    if not (bits[:, first[place]] == bits).all():
+        # Different columns were mixed to one number.
+        every = np.arange(columns.shape[1])
+        return every, every
+
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[place]
 
 
 def _inverse(matrices: ndarray) -> ndarray:
@@ -292,11 +344,9 @@ class StepSequence:
             ]
         )
 
-        # Lanes of differences share most of their steps, which have equal angles: each
-        # is evaluated once.
-        place = np.arange(s * n)
-        if len(np.unique(inputs[0])) < s * n:
-            inputs, place = np.unique(inputs, axis=1, return_inverse=True)
+        # Lanes of differences share most of their steps: each is evaluated once.
+        first, place = _distinct(inputs)
+        inputs = inputs[:, first]
         of_steps = inputs[:m], inputs[m : m + k], inputs[m + k :]
         one = single(*of_steps)
         place = place.reshape(s, n)
