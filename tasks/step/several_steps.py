@@ -67,7 +67,7 @@ class Strides:
         """
         return np.asarray(self.residual[: len(self.y)] + self.y)
 
-    @property
+    @functools.cached_property
     def jacobian(self) -> ndarray:
         """Derivative of all steps, one after another, by the first section, shape (m/s,
         m/s, n).
@@ -106,7 +106,10 @@ class Strides:
         missed = self._in_places(before, 1)
         guards = self._in_places(by[m:], 0)
 
-        out = np.concatenate([*missed, *guards])
+        columns = missed.shape[2:]
+        out = np.concatenate(
+            [missed.reshape(-1, *columns), guards.reshape(-1, *columns)]
+        )
         of_all = np.arange(len(self.y))
         out[of_all, of_all] -= 1.0
         return out
@@ -215,7 +218,7 @@ def _in_a_row(values: ndarray) -> ndarray:
     """Values (i, s, n) of every step, those of one after those of the step before: (s
     i, n).
     """
-    return np.concatenate([*values.swapaxes(0, 1)])
+    return values.swapaxes(0, 1).reshape(-1, values.shape[-1])
 
 
 #: What bits of columns are multiplied by, before they are added up: an odd number.
@@ -334,9 +337,9 @@ class StepSequence:
         m = self.single.m
         k = len(times) // s
         last_strikes = times[k - 1 : -1 : k]
-        begins = np.vstack([np.zeros((1, n)), last_strikes])
+        begins = np.concatenate([np.zeros((1, n)), last_strikes])
         durations = times - np.repeat(begins, k, axis=0)
-        inputs = np.vstack(
+        inputs = np.concatenate(
             [
                 side_by_side(y, s),
                 side_by_side(durations, s),
@@ -345,13 +348,19 @@ class StepSequence:
         )
 
         # Lanes of differences share most of their steps: each is evaluated once.
-        first, place = _distinct(inputs)
-        inputs = inputs[:, first]
-        of_steps = inputs[:m], inputs[m : m + k], inputs[m + k :]
-        one = single(*of_steps)
-        place = place.reshape(s, n)
-        every = one.mapped(lambda values: values[..., place])
-        return Strides(every, y, times.copy())
+        lanes = s * n
+        first = place = np.arange(lanes)
+        if n > 1:
+            first, place = _distinct(inputs)
+        if len(first) < lanes:
+            inputs = inputs[:, first]
+
+        def every(values: ndarray) -> ndarray:
+            values = values if len(first) == lanes else values[..., place]
+            return values.reshape(*values.shape[:-1], s, n)
+
+        one = single(inputs[:m], inputs[m : m + k], inputs[m + k :]).mapped(every)
+        return Strides(one, y, times.copy())
 
 
 def sections(w: ndarray, m: int, steps: int) -> tuple[ndarray, ndarray]:
@@ -421,8 +430,9 @@ def joined(
     ndarray, shape (m + k, n)
     """
     angle = y[0, 0]
-    others = np.concatenate([*y])[1:] / angle
-    times = np.cumsum(np.concatenate([*durations]), axis=0)
+    n = y.shape[-1]
+    others = y.reshape(-1, n)[1:] / angle
+    times = np.cumsum(durations.reshape(-1, n), axis=0)
     return np.vstack([log_unit + np.log(angle), others, times])
 
 
