@@ -131,10 +131,11 @@ def _search(starts: ndarray, low: float, high: float) -> _Search:
     """Search for the loss of an attractor: by a few of its orbits, then by all."""
     found = yield from _bracketed(starts[:, :_FEW], low, high)
     last = found[0]
-    if np.isnan(last):
+    others = starts[:, _FEW:]
+    if np.isnan(last) or not others.size:
         return found
 
-    survives = yield starts, np.array([last])
+    survives = yield others, np.array([last])
     if survives[0]:
         return found
     return (yield from _bracketed(starts, low, last))

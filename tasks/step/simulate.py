@@ -63,9 +63,9 @@ _TIME_STEP = {False: 0.125, True: 0.0625}
 _LEAST_ANGLE = 1e-3
 #: Lanes simulated side by side: their states stay in the cache.
 _SIDE_BY_SIDE = 4096
-#: Most time steps taken before strikes are looked for: of a lane, and of all lanes
-#: together.
-_MAX_BLOCK, _BLOCK = 16, 8192
+#: Most time steps taken before strikes are looked for: of a lane, about as many as a
+#: phase takes, and of all lanes together.
+_MAX_BLOCK, _BLOCK = 28, 8192
 #: Angle, and change of an angle in a time step, at which a block ends [rad].
 _WILD = 4.0
 
@@ -260,7 +260,7 @@ class Scanner:
         lanes, taken, most = np.arange(n), 0, int(MAX_TIME / h)
         inputs = _inputs(x, h, parameters)
         while len(lanes) and taken < most:
-            count = min(most - taken, _block_of(len(lanes)))
+            count = _block_of(free, inputs[:, : len(lanes)], h, most - taken)
             X = self._advance_block(free, inputs, h, count)
             ended, cause = way.end(lanes, X[:, :, : len(lanes)], taken)
             taken += len(X) - 1
@@ -269,7 +269,7 @@ class Scanner:
                 outcome[lanes[ended]] = cause
                 lanes, inputs = _without(ended, lanes, inputs)
 
-        return way.state, way.time, outcome
+        return state, time, outcome
 
     def _advance_block(
         self, free: bool, inputs: np.ndarray, h: float, count: int
@@ -284,12 +284,7 @@ class Scanner:
         size = 6 if free else 4
         X = np.empty((count + 1, size, inputs.shape[1]))
         X[0] = inputs[:size]
-        step = self._step[free]
-        for k in range(count):
-            if k:
-                inputs[:size] = X[k]
-            step(inputs, outputs=X[k + 1])
-
+        self._step[free].iterate(inputs, X)
         scale = inputs[size + 2]
         return X[: 2 + _steps_before_wild(X[1:-1], h, scale)]
 
@@ -319,9 +314,17 @@ class Scanner:
         return at, advanced(at)
 
 
-def _block_of(lanes: int) -> int:
-    """Time steps of so many lanes that are taken before strikes are looked for."""
-    return max(1, min(_MAX_BLOCK, _BLOCK // lanes))
+def _block_of(free: bool, x: States, h: float, most: int) -> int:
+    """Time steps of lanes, at most so many, that are taken from some states (size or
+    more, n) before strikes are looked for: where all are about to strike, as many as
+    all will take.
+    """
+    count = min(most, _MAX_BLOCK, _BLOCK // x.shape[1])
+    g, rate = guard(free, x)
+    if g.min() > 0 and rate.max() < 0:
+        latest = -float((g / rate).min()) / h
+        count = min(count, 2 + int(latest))
+    return max(1, count)
 
 
 def _without(

@@ -330,7 +330,7 @@ def bracket_where(monkeypatch, survives, low, high):
 
 def test_a_bracket_of_a_few_orbits_is_begun_anew_where_more_are_lost(monkeypatch):
     def survives(starts, slope):
-        return slope < (0.0131 if starts.shape[1] == 640 else 0.0137)
+        return slope < (0.0131 if starts.shape[1] > crisis._FEW else 0.0137)
 
     low, high = bracket_where(monkeypatch, survives, 0.01, 0.02)
     assert low < 0.0131 < high < 0.0137 and high - low < 1e-4

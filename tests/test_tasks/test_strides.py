@@ -278,6 +278,20 @@ def test_the_first_strike_of_a_lane_counts():
     assert (time // 0.0625).tolist() == [1, 2]
 
 
+def test_blocks_end_where_all_are_about_to_strike():
+    """The guard of one vanishes in 3.5 time steps, of the other in 9.5."""
+    x = np.zeros((4, 2))
+    x[1] = 0.35, 0.95
+    x[3] = -1.6
+    most = simulate._MAX_BLOCK
+    assert simulate._block_of(False, x, 0.0625, 99) == 2 + 9
+    assert simulate._block_of(False, x, 0.0625, 5) == 5
+    x[3, 0] = 0.1
+    assert simulate._block_of(False, x, 0.0625, 99) == most
+    many = np.zeros((4, 99999))
+    assert simulate._block_of(False, many, 0.0625, 99) == 1
+
+
 def test_a_guard_that_may_touch_zero_between_samples_is_in_doubt():
     x = np.linspace(0, 1, 33)[:, None] + 1e-3
     early = np.maximum(
