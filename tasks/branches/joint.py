@@ -141,9 +141,7 @@ def rounding_step(matrix: ndarray, at: Evaluation) -> ndarray:
 
     # Rounding of the start, carried through the step; the inverse takes back most of
     # what the step amplifies.
-    derivative = at.stride.derivative
-    carried = derivative[:, :m] + np.eye(len(derivative), m)[..., None]
-    taken_back = matvec(inverse[:, :-1, None], carried)
+    taken_back = at.stride.carried(inverse[:, :-1])
     error = error + matvec(np.abs(taken_back), y)
     return np.asarray(6 * EPS * np.nan_to_num(error).max(axis=0))
 

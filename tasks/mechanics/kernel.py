@@ -5,6 +5,7 @@ SIMD lanes.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import os
 import threading
@@ -407,19 +408,25 @@ class CompiledFunction:
             outputs, vars=variables, compact_mode=False, batch_size=LANES
         )
 
-    def __call__(
-        self, inputs: np.ndarray, outputs: np.ndarray | None = None
-    ) -> np.ndarray:
+    def __call__(self, inputs: np.ndarray) -> np.ndarray:
         """Values of the function, shape (outputs, n), at inputs of shape (variables,
         n).
         """
         began = time.perf_counter()
-        if outputs is None:
-            values: np.ndarray = self._function(inputs)
-        else:
-            values = self._function(inputs, outputs=outputs)
+        values: np.ndarray = self._function(inputs)
         CompiledFunction.seconds += time.perf_counter() - began
         return values
+
+    def iterate(self, inputs: np.ndarray, states: np.ndarray) -> None:
+        """Set each of several states (k, outputs, n) but the first to the function's
+        values at the one before it, which takes the first places of the inputs.
+        """
+        began = time.perf_counter()
+        first = inputs[: states.shape[1]]
+        for before, after in itertools.pairwise(states):
+            first[:] = before
+            self._function(inputs, outputs=after)
+        CompiledFunction.seconds += time.perf_counter() - began
 
 
 def integrating_seconds() -> float:

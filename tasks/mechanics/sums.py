@@ -14,6 +14,10 @@ from collections.abc import Iterable
 import numpy as np
 from numpy import ndarray
 
+#: Numbers in a term up to which all terms are added by one call, which finds every
+#: partial sum and so adds in order too; longer ones are added term by term.
+_FEW = 256
+
 
 def total(terms: Iterable[ndarray]) -> ndarray:
     """Sum of arrays, or of an array over its first axis.
@@ -28,6 +32,8 @@ def total(terms: Iterable[ndarray]) -> ndarray:
     ndarray
         Of that shape.
     """
+    if isinstance(terms, ndarray) and terms[0].size <= _FEW:
+        return np.add.accumulate(terms, axis=0)[-1]
     return functools.reduce(operator.add, terms)
 
 
@@ -74,4 +80,6 @@ def matvec(A: ndarray, v: ndarray) -> ndarray:
     -------
     ndarray, shape (i, n), or (i, k, n)
     """
+    if A[:, 0].size * v[0].size <= _FEW * A.shape[-1]:
+        return np.add.accumulate(A * v, axis=1)[:, -1].copy()
     return total(A[:, j] * v[j] for j in range(A.shape[1]))

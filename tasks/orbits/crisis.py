@@ -14,9 +14,12 @@ lower slope, and else begun anew with all of these.
 
 from __future__ import annotations
 
+from collections.abc import Generator, Sequence
+
 import numpy as np
 from numpy import ndarray
 
+from gaitsweep.tasks.mechanics.arrays import Numbers
 from gaitsweep.tasks.orbits.walk import Walk, change
 from gaitsweep.tasks.step.problem import Problem
 from gaitsweep.tasks.step.simulate import STRUCK
@@ -33,43 +36,56 @@ _FEW = 32
 _ROUNDS, _AT_ONCE = 3, 4
 
 
+#: An attractor that may be lost: initial section coordinates on it (m, k) [rad,
+#: rad/sqrt(leg/g)], and two slopes [rad] between which its loss is sought.
+Attractor = tuple[ndarray, float, float]
+#: Initial section coordinates (m, k), each of which is tried at some slopes (n,) [rad].
+Trial = tuple[ndarray, ndarray]
+#: A search, which asks of trials at which slopes (n,) orbits survive, and returns a
+#: bracket [rad].
+_Search = Generator[Trial, ndarray, tuple[float, float]]
+
+
 def surviving_slopes(
-    problem: Problem,
-    starts: ndarray,
-    slope: ndarray,
-    strides: int,
-) -> ndarray:
+    problem: Problem, trials: Sequence[Trial], strides: int
+) -> list[ndarray]:
     """Find the slopes at which all orbits that outlast the transient persist and none
     converges to period one.
 
     Parameters
     ----------
-    starts : ndarray, shape (m, k) [rad, rad/sqrt(leg/g)]
-        Initial section coordinates, the same at every slope.
-    slope : ndarray, shape (n,) [rad]
+    trials : sequence of (ndarray, ndarray)
+        Which are walked side by side.
     strides : int
         Steps after the transient.
 
     Returns
     -------
-    ndarray of bool, shape (n,)
-        False too where no orbit outlasts the transient.
+    list of ndarray of bool, shape (n,)
+        Of each trial; false too where no orbit outlasts the transient.
     """
-    number = np.repeat(np.arange(len(slope)), starts.shape[1])
-    walk = Walk(problem, np.tile(starts, (1, len(slope))), slope[number])
+    y = np.hstack([np.tile(starts, (1, len(slope))) for starts, slope in trials])
+    orbits = [[starts.shape[1]] * len(slope) for starts, slope in trials]
+    slope = np.concatenate([slope for _, slope in trials])
+    number = np.repeat(np.arange(len(slope)), np.concatenate(orbits))
+    survives = _survive(Walk(problem, y, slope[number]), number, strides)
+    return np.split(survives, np.cumsum([len(each) for each in orbits])[:-1])
+
+
+def _survive(walk: Walk, number: Numbers, strides: int) -> ndarray:
+    """Whether orbits survive at each of several slopes, of which every lane of a walk
+    has one by its number.
+    """
     for _ in walk.steps(_TRANSIENT):
         pass
     lasting = walk.lanes
-    survives = np.isin(np.arange(len(slope)), number[lasting])
+    survives = np.isin(np.arange(number.max() + 1), number[lasting])
     for taken in walk.steps(strides):
         # One orbit that leaves decides for its slope.
         survives[number[lasting[walk.outcome[lasting] != STRUCK]]] = False
         if taken == strides:
-            survives[
-                number[
-                    walk.lanes[change(walk.before, walk.y[:, walk.lanes]) < _SETTLED]
-                ]
-            ] = False
+            settles = change(walk.before, walk.y[:, walk.lanes]) < _SETTLED
+            survives[number[walk.lanes[settles]]] = False
 
         walk.lanes = walk.lanes[survives[number[walk.lanes]]]
 
@@ -77,51 +93,63 @@ def surviving_slopes(
 
 
 def lost(
-    problem: Problem,
-    starts: ndarray,
-    low: float,
-    high: float,
-    strides: int,
-) -> tuple[float, float]:
-    """Bracket the slope at which an attractor is lost: at the upper one an orbit is lost
+    problem: Problem, attractors: Sequence[Attractor], strides: int
+) -> list[tuple[float, float]]:
+    """Bracket the slopes at which attractors are lost: at the upper one an orbit is lost
     within some steps, at the lower one none of all.
 
     Parameters
     ----------
-    starts : ndarray, shape (m, k) [rad, rad/sqrt(leg/g)]
-        Initial states on the attractor at `low`.
-    low, high : float [rad]
-        The bracket to begin with.
+    attractors : sequence of (ndarray, float, float)
+        Which persist at the first of the two slopes, or are lost at once; they are
+        searched for side by side.
     strides : int
         Steps after the transient.
 
     Returns
     -------
-    low, high : float [rad]
-        Neighbouring slopes of the last round. NaN for `low` where the attractor does
-        not persist there either, and for `high` where it is not lost.
+    list of (float, float) [rad]
+        Neighbouring slopes of the last round. NaN for the first where the attractor
+        does not persist there either, and for the second where it is not lost.
     """
-    found = _bracketed(problem, starts[:, :_FEW], low, high, strides)
+    searches = [_search(*attractor) for attractor in attractors]
+    found = [(np.nan, np.nan)] * len(searches)
+    asked = {number: next(search) for number, search in enumerate(searches)}
+    while asked:
+        survive = surviving_slopes(problem, [*asked.values()], strides)
+        for number, each in zip([*asked], survive, strict=True):
+            try:
+                asked[number] = searches[number].send(each)
+            except StopIteration as end:
+                found[number] = end.value
+                del asked[number]
+
+    return found
+
+
+def _search(starts: ndarray, low: float, high: float) -> _Search:
+    """Search for the loss of an attractor: by a few of its orbits, then by all."""
+    found = yield from _bracketed(starts[:, :_FEW], low, high)
     last = found[0]
-    if np.isnan(last):
+    others = starts[:, _FEW:]
+    if np.isnan(last) or not others.size:
         return found
-    if surviving_slopes(problem, starts, np.array([last]), strides)[0]:
+
+    survives = yield others, np.array([last])
+    if survives[0]:
         return found
-    return _bracketed(problem, starts, low, last, strides)
+    return (yield from _bracketed(starts, low, last))
 
 
-def _bracketed(
-    problem: Problem, starts: ndarray, low: float, high: float, strides: int
-) -> tuple[float, float]:
-    """The bracket of a loss within some steps, with NaN as `lost` has it."""
+def _bracketed(starts: ndarray, low: float, high: float) -> _Search:
+    """The bracket of a loss by some orbits, with NaN as `lost` has it."""
     for number in range(_ROUNDS):
         slope = np.linspace(low, high, _AT_ONCE + 2)
         if number:
-            survives = np.array(
-                [True, *surviving_slopes(problem, starts, slope[1:-1], strides), False]
-            )
+            inner = yield starts, slope[1:-1]
+            survives = np.array([True, *inner, False])
         else:  # the ends with the others
-            survives = surviving_slopes(problem, starts, slope, strides)
+            survives = yield starts, slope
             if not survives[0]:
                 return np.nan, low
             if survives[-1]:

@@ -50,14 +50,13 @@ def guard(
 
 # Motions that are lost cross nothing.
 @np.errstate(divide="ignore", invalid="ignore")
-def crossing(
+def crossings(
     free: bool,
     X: np.ndarray,
     h: float,
     ground: np.ndarray | None = None,
-) -> np.ndarray:
-    """Fraction of each time step at which the guard falls through zero; -1 where it
-    does not.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Find the time steps in which the guard falls through zero.
 
     Parameters
     ----------
@@ -72,7 +71,10 @@ def crossing(
 
     Returns
     -------
-    ndarray, shape (steps, n)
+    step, lane : ndarray of int, shape (k,)
+        In the order of time steps.
+    fraction : ndarray, shape (k,)
+        Of the time step, at which it does.
 
     Notes
     -----
@@ -80,39 +82,49 @@ def crossing(
     time step the guard is its cubic Hermite polynomial, so that a dip below zero and
     back is detected too. Heelstrikes count only with the stance leg behind.
     """
-    g, rate = guard(free, X.swapaxes(0, 1), ground)
     before = X[:-1, 0]
     after = X[1:, 0]
-    rate = h * rate
-    crosses = _may_fall(g, rate)
-    if not free:
-        crosses &= after < 0
+    counts = np.ones(after.shape, bool) if free else after < 0
     if ground is not None:
-        crosses &= X[1:, 1] > after
+        counts &= X[1:, 1] > after
+    if not counts.any():
+        return _NOWHERE
 
-    fraction = np.full(crosses.shape, -1.0)
-    lanes = np.nonzero(crosses)
-    if len(lanes[0]):
-        steps = [values[lanes] for values in (g[:-1], g[1:], rate[:-1], rate[1:])]
-        at = _first_zero(*steps)
-        falls = at >= 0
-        if not free:
-            falls &= before[lanes] + at * (after[lanes] - before[lanes]) < 0
-        fraction[lanes] = np.where(falls, at, -1.0)
+    g, rate = guard(free, X.swapaxes(0, 1), ground)
+    counts &= _may_fall(g, rate)
+    step, lane = np.divmod(np.flatnonzero(counts), counts.shape[1])
+    if not len(step):
+        return _NOWHERE
 
-    return fraction
+    begin = step, lane
+    end = step + 1, lane
+    at = _first_zero(g[begin], g[end], h * rate[begin], h * rate[end])
+    falls = at >= 0
+    if not free:
+        angle = before[begin]
+        falls &= angle + at * (after[begin] - angle) < 0
+
+    return step[falls], lane[falls], at[falls]
+
+
+_NOWHERE = np.empty(0, int), np.empty(0, int), np.empty(0)
 
 
 def _may_fall(g: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Whether a guard, given with its rates per time step, may fall through zero in
-    each time step.
-    """
+    """Whether a guard, given with its rates, may fall through zero in each time step."""
     a = g[:-1]
     b = g[1:]
-    da = rate[:-1]
-    db = rate[1:]
-    was_up = (a > 0) | ((a == 0) & (da > 0))
-    return np.asarray(was_up & ((b <= 0) | ((da < 0) & (db > 0))))
+    falls_back = rate < 0
+    may_fall = (rate[1:] > 0) & falls_back[:-1]
+    may_fall |= b <= 0
+    may_fall &= (a > 0) | ((a == 0) & (rate[:-1] > 0))
+    return may_fall
+
+
+#: Places at which cubics are taken, and what multiplies the values and rates at both
+#: ends there.
+_AT = np.linspace(0.0, 1.0, _SAMPLES + 1)[:, None]
+_LEFT = (1 - _AT) ** 2
 
 
 def _first_zero(
@@ -124,17 +136,23 @@ def _first_zero(
     """Fraction at which cubics of given values and rates at both ends first fall to
     zero, between samples; -1 where they do not.
     """
-    s = np.linspace(0.0, 1.0, _SAMPLES + 1)[:, None]
-    value = (
-        a * (1 + 2 * s) * (1 - s) ** 2
-        + da * s * (1 - s) ** 2
-        + b * s * s * (3 - 2 * s)
-        + db * s * s * (s - 1)
-    )
-    below = (value <= 0) & (s > 0)
+    value = a * (1 + 2 * _AT)
+    value *= _LEFT
+    term = da * _AT
+    term *= _LEFT
+    value += term
+
+    for end, factor in ((b, 3 - 2 * _AT), (db, _AT - 1)):
+        np.multiply(end, _AT, out=term)
+        term *= _AT
+        term *= factor
+        value += term
+
+    below = value <= 0
+    below[0] = False
     lanes = np.arange(len(a))
     first = np.argmax(below, axis=0)
     high = value[np.maximum(first - 1, 0), lanes]
     low = value[first, lanes]
     at = (first - 1 + high / (high - low)) / _SAMPLES
-    return np.where(below.any(axis=0), at, -1.0)
+    return np.where(below[first, lanes], at, -1.0)

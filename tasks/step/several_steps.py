@@ -67,7 +67,7 @@ class Strides:
         """
         return np.asarray(self.residual[: len(self.y)] + self.y)
 
-    @property
+    @functools.cached_property
     def jacobian(self) -> ndarray:
         """Derivative of all steps, one after another, by the first section, shape (m/s,
         m/s, n).
@@ -100,20 +100,49 @@ class Strides:
         """Of the residual by y, the event times and the slope, shape (m + k, m + k + 1,
         n).
         """
-        by = self.one.derivative.copy()
+        by = self._of_images_and_guards
         m = len(self.one.y)
-        # A step's equation has its own section; in a gait of several that after it
-        # takes its place.
-        of_one = np.arange(m)
-        by[of_one, of_one] += 1.0
         before = np.roll(by[:m], 1, axis=2)
         missed = self._in_places(before, 1)
         guards = self._in_places(by[m:], 0)
 
-        out = np.concatenate([*missed, *guards])
+        columns = missed.shape[2:]
+        out = np.concatenate(
+            [missed.reshape(-1, *columns), guards.reshape(-1, *columns)]
+        )
         of_all = np.arange(len(self.y))
         out[of_all, of_all] -= 1.0
         return out
+
+    def carried(self, rows: ndarray) -> ndarray:
+        """Product of rows (i, m + k, n) with the derivatives of what steps lead to, and
+        of their guards, by the sections, shape (i, m, n).
+
+        A section acts on the section after it and on its own step's guards alone.
+        """
+        m = len(self.one.y)
+        s = self.steps
+        n = rows.shape[-1]
+        of_sections = rows[:, : s * m].reshape(-1, s, m, n)
+        of_guards = rows[:, s * m :].reshape(len(rows), s, -1, n)
+        after = np.roll(of_sections, -1, axis=1)
+        of_step = np.concatenate([after, of_guards], axis=2)
+
+        by = self._of_images_and_guards[:, :m]
+        product = matvec(of_step.swapaxes(1, 2)[:, :, None], by)
+        return product.swapaxes(1, 2).reshape(-1, s * m, n)
+
+    @property
+    def _of_images_and_guards(self) -> ndarray:
+        """Derivatives of where each step leads, and of its guards, by its own section,
+        event times and the slope, shape (m/s + k/s, m/s + k/s + 1, s, n).
+        """
+        by = self.one.derivative.copy()
+        # A step's equation has its own section; in a gait of several that after it
+        # takes its place.
+        of_one = np.arange(len(self.one.y))
+        by[of_one, of_one] += 1.0
+        return by
 
     def _in_places(self, by: ndarray, before: int) -> ndarray:
         """Derivatives of values of every step by all unknowns, shape (s, i, m + k + 1,
@@ -189,7 +218,33 @@ def _in_a_row(values: ndarray) -> ndarray:
     """Values (i, s, n) of every step, those of one after those of the step before: (s
     i, n).
     """
-    return np.concatenate([*values.swapaxes(0, 1)])
+    return values.swapaxes(0, 1).reshape(-1, values.shape[-1])
+
+
+#: What bits of columns are multiplied by, before they are added up: an odd number.
+_MIXER = np.uint64(0x9E3779B97F4A7C15)
+
+
+def _distinct(columns: ndarray) -> tuple[ndarray, ndarray]:
+    """The first of every distinct column of an array (i, n), in their order, and of
+    each column that one's place among these, shape (n,).
+    """
+    bits = np.ascontiguousarray(columns).view(np.uint64)
+    mixed = np.zeros(columns.shape[1], np.uint64)
+    for row in bits:
+        mixed = (mixed ^ row) * _MIXER
+        mixed ^= mixed >> np.uint64(32)
+
+    _, first, place = np.unique(mixed, return_index=True, return_inverse=True)
+    if not (bits[:, first[place]] == bits).all():
+        # Different columns were mixed to one number.
+        every = np.arange(columns.shape[1])
+        return every, every
+
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[place]
 
 
 def _inverse(matrices: ndarray) -> ndarray:
@@ -282,9 +337,9 @@ class StepSequence:
         m = self.single.m
         k = len(times) // s
         last_strikes = times[k - 1 : -1 : k]
-        begins = np.vstack([np.zeros((1, n)), last_strikes])
+        begins = np.concatenate([np.zeros((1, n)), last_strikes])
         durations = times - np.repeat(begins, k, axis=0)
-        inputs = np.vstack(
+        inputs = np.concatenate(
             [
                 side_by_side(y, s),
                 side_by_side(durations, s),
@@ -292,16 +347,20 @@ class StepSequence:
             ]
         )
 
-        # Lanes of differences share most of their steps, which have equal angles: each
-        # is evaluated once.
-        place = np.arange(s * n)
-        if len(np.unique(inputs[0])) < s * n:
-            inputs, place = np.unique(inputs, axis=1, return_inverse=True)
-        of_steps = inputs[:m], inputs[m : m + k], inputs[m + k :]
-        one = single(*of_steps)
-        place = place.reshape(s, n)
-        every = one.mapped(lambda values: values[..., place])
-        return Strides(every, y, times.copy())
+        # Lanes of differences share most of their steps: each is evaluated once.
+        lanes = s * n
+        first = place = np.arange(lanes)
+        if n > 1:
+            first, place = _distinct(inputs)
+        if len(first) < lanes:
+            inputs = inputs[:, first]
+
+        def every(values: ndarray) -> ndarray:
+            values = values if len(first) == lanes else values[..., place]
+            return values.reshape(*values.shape[:-1], s, n)
+
+        one = single(inputs[:m], inputs[m : m + k], inputs[m + k :]).mapped(every)
+        return Strides(one, y, times.copy())
 
 
 def sections(w: ndarray, m: int, steps: int) -> tuple[ndarray, ndarray]:
@@ -371,8 +430,9 @@ def joined(
     ndarray, shape (m + k, n)
     """
     angle = y[0, 0]
-    others = np.concatenate([*y])[1:] / angle
-    times = np.cumsum(np.concatenate([*durations]), axis=0)
+    n = y.shape[-1]
+    others = y.reshape(-1, n)[1:] / angle
+    times = np.cumsum(durations.reshape(-1, n), axis=0)
     return np.vstack([log_unit + np.log(angle), others, times])
 
 

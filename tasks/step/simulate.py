@@ -13,7 +13,7 @@ alone.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import heyoka as hy
@@ -37,7 +37,7 @@ from gaitsweep.tasks.mechanics.kernel import (
     whole_groups,
 )
 from gaitsweep.tasks.mechanics.lumped import Structure
-from gaitsweep.tasks.step.crossing import crossing, guard
+from gaitsweep.tasks.step.crossing import crossings, guard
 from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import Problem, scale_of
 from gaitsweep.tasks.step.symbols import dot, end_of_step, field, lock_knee, vector
@@ -63,9 +63,9 @@ _TIME_STEP = {False: 0.125, True: 0.0625}
 _LEAST_ANGLE = 1e-3
 #: Lanes simulated side by side: their states stay in the cache.
 _SIDE_BY_SIDE = 4096
-#: Most time steps taken before strikes are looked for: of a lane, and of all lanes
-#: together.
-_MAX_BLOCK, _BLOCK = 16, 8192
+#: Most time steps taken before strikes are looked for: of a lane, about as many as a
+#: phase takes, and of all lanes together.
+_MAX_BLOCK, _BLOCK = 28, 8192
 #: Angle, and change of an angle in a time step, at which a block ends [rad].
 _WILD = 4.0
 
@@ -254,54 +254,39 @@ class Scanner:
             Index of CAUSES.
         """
         n, h = x.shape[1], _TIME_STEP[self.structure.kneed]
-        way = _Way(
-            self,
-            free,
-            h,
-            begin,
-            parameters,
-            height,
-            np.full_like(x, np.nan),
-            np.zeros(n),
-        )
+        state, time = np.full_like(x, np.nan), np.zeros(n)
+        way = _Way(self, free, h, begin, parameters, height, state, time)
         outcome = np.full(n, NO_KNEESTRIKE if free else NO_HEELSTRIKE)
         lanes, taken, most = np.arange(n), 0, int(MAX_TIME / h)
+        inputs = _inputs(x, h, parameters)
         while len(lanes) and taken < most:
-            count = min(most - taken, max(1, min(_MAX_BLOCK, _BLOCK // len(lanes))))
-            X = self._advance_block(free, x, h, parameters[:, lanes], count)
-            ended, cause = way.end(lanes, X, taken)
-            outcome[lanes[ended]] = cause
-            x = X[-1]
-            if len(ended):
-                lanes, x = np.delete(lanes, ended), np.delete(x, ended, axis=1)
+            count = _block_of(free, inputs[:, : len(lanes)], h, most - taken)
+            X = self._advance_block(free, inputs, h, count)
+            ended, cause = way.end(lanes, X[:, :, : len(lanes)], taken)
             taken += len(X) - 1
+            inputs[: len(x)] = X[-1]
+            if len(ended):
+                outcome[lanes[ended]] = cause
+                lanes, inputs = _without(ended, lanes, inputs)
 
-        return way.state, way.time, outcome
+        return state, time, outcome
 
     def _advance_block(
-        self, free: bool, x: States, h: float, parameters: Parameters, count: int
+        self, free: bool, inputs: np.ndarray, h: float, count: int
     ) -> np.ndarray:
         """States (steps + 1, size, n) before and after each of up to `count` time
-        steps.
+        steps, from those among the inputs of whole groups of lanes.
 
         A lane that strikes or falls on the way is integrated with the others. A block
         ends where the angles of one became so large that in the next step the compiled
         sine might reduce those of its neighbours in another way.
         """
-        size, n = x.shape
-        width = n + -n % LANES
-        inputs = np.empty((size + 1 + len(parameters), width))
-        inputs[:size, :n], inputs[size], inputs[size + 1 :, :n] = x, h, parameters
-        inputs[:, n:] = inputs[:, n - 1 : n]
-        X = np.empty((count + 1, size, width))
+        size = 6 if free else 4
+        X = np.empty((count + 1, size, inputs.shape[1]))
         X[0] = inputs[:size]
-        for k in range(count):
-            if k:
-                inputs[:size] = X[k]
-            self._step[free](inputs, outputs=X[k + 1])
-
+        self._step[free].iterate(inputs, X)
         scale = inputs[size + 2]
-        return X[: 2 + _steps_before_wild(X[1:-1], h, scale), :, :n]
+        return X[: 2 + _steps_before_wild(X[1:-1], h, scale)]
 
     def refine(
         self,
@@ -315,12 +300,49 @@ class Scanner:
         """Time within the time step at which the guard vanishes, by Newton on the
         formula, and the state there.
         """
+        size, n = x.shape
+        inputs = _inputs(x, h, parameters)
+
+        def advanced(at: np.ndarray) -> np.ndarray:
+            inputs[size] = whole_groups(at, LANES)
+            return self._step[free](inputs)[:, :n]
+
         at = fraction * h
         for _ in range(2):
-            final = self._advance(free, x, at, parameters)
-            g, rate = guard(free, final, ground)
-            at = np.clip(at - g / rate, 0.0, h)
-        return at, self._advance(free, x, at, parameters)
+            g, rate = guard(free, advanced(at), ground)
+            at = np.minimum(np.maximum(at - g / rate, 0.0), h)
+        return at, advanced(at)
+
+
+def _block_of(free: bool, x: States, h: float, most: int) -> int:
+    """Time steps of lanes, at most so many, that are taken from some states (size or
+    more, n) before strikes are looked for: where all are about to strike, as many as
+    all will take.
+    """
+    count = min(most, _MAX_BLOCK, _BLOCK // x.shape[1])
+    g, rate = guard(free, x)
+    if g.min() > 0 and rate.max() < 0:
+        latest = -float((g / rate).min()) / h
+        count = min(count, 2 + int(latest))
+    return max(1, count)
+
+
+def _without(
+    ended: Numbers, lanes: Numbers, inputs: np.ndarray
+) -> tuple[Numbers, np.ndarray]:
+    """The lanes that have not ended, with their inputs in whole groups."""
+    goes_on = np.ones(len(lanes), bool)
+    goes_on[ended] = False
+    kept = np.flatnonzero(goes_on)
+    return lanes[kept], whole_groups(inputs[:, kept], LANES)
+
+
+def _inputs(x: States, h: float, parameters: Parameters) -> np.ndarray:
+    """What a compiled time step takes: states, its length and parameters, of whole
+    groups of lanes.
+    """
+    lengths = np.full((1, x.shape[1]), h)
+    return whole_groups(np.concatenate([x, lengths, parameters]), LANES)
 
 
 @dataclass
@@ -340,20 +362,59 @@ class _Way:
         self, lanes: Numbers, X: np.ndarray, taken: int
     ) -> tuple[Numbers, np.ndarray]:
         """Places of lanes that end within time steps, after so many taken, and why."""
-        fraction = crossing(self.free, X, self.h, self._ground(lanes))
-        ends = _ends(X, fraction, self.parameters[1, lanes])
-        elapsed = np.arange(taken + 1, taken + len(X))[:, None] * self.h
-        if self.begin[lanes].max() + elapsed[-1] > MAX_TIME:
-            is_late = self.begin[lanes] + elapsed > MAX_TIME
-            ends[NO_KNEESTRIKE if self.free else NO_HEELSTRIKE] = is_late
+        first, fraction = self._first_strikes(lanes, X)
+        steps = len(X) - 1
+        cause = np.full(len(lanes), STRUCK)
+        for why, ends in self._falls(lanes, X, taken):
+            at = np.where(ends.any(axis=0), ends.argmax(axis=0), steps)
+            sooner = at < first
+            first[sooner] = at[sooner]
+            cause[sooner] = why
 
-        ended, place, cause = _first_ends(ends)
-        struck, place = ended[cause == STRUCK], place[cause == STRUCK]
+        ended = np.flatnonzero(first < steps)
+        struck = ended[cause[ended] == STRUCK]
         if len(struck):
-            before, share = X[place, :, struck].T, fraction[place, struck]
-            self._strike(lanes[struck], before, share, (taken + place) * self.h)
+            place = first[struck]
+            begin = (taken + place) * self.h
+            self._strike(lanes[struck], X[place, :, struck].T, fraction[struck], begin)
 
-        return ended, cause
+        return ended, cause[ended]
+
+    def _first_strikes(
+        self, lanes: Numbers, X: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The first time step of each lane in which it may strike, the number of all
+        where it does not, and the fraction of that step.
+        """
+        step, lane, share = crossings(self.free, X, self.h, self._ground(lanes))
+        first = np.full(len(lanes), len(X) - 1)
+        fraction = np.zeros(len(lanes))
+        first[lane[::-1]] = step[::-1]
+        fraction[lane[::-1]] = share[::-1]
+        return first, fraction
+
+    def _falls(
+        self, lanes: Numbers, X: np.ndarray, taken: int
+    ) -> Iterator[tuple[int, np.ndarray]]:
+        """After which time steps (steps, n) lanes end without a strike, by why, in the
+        order in which that counts; what follows the first end of a lane does not.
+        """
+        if not np.isfinite(X[-1]).all():  # what is lost remains so
+            yield LOST, ~np.isfinite(X[1:]).all(axis=1)
+
+        angle = X[1:, 0]
+        scale = self.parameters[1, lanes]
+        largest = scale.max()
+        if not angle.min() * largest >= -MAX_ANGLE:
+            yield FORWARD, angle * scale < -MAX_ANGLE
+        if not angle.max() * largest <= MAX_ANGLE:
+            yield BACKWARD, angle * scale > MAX_ANGLE
+
+        elapsed = np.arange(taken + 1, taken + len(X))[:, None] * self.h
+        begin = self.begin[lanes]
+        if begin.max() + elapsed[-1] > MAX_TIME:
+            late = NO_KNEESTRIKE if self.free else NO_HEELSTRIKE
+            yield late, begin + elapsed > MAX_TIME
 
     def _strike(
         self, lanes: Numbers, x: States, share: np.ndarray, begin: np.ndarray
@@ -376,41 +437,16 @@ def _steps_before_wild(X: np.ndarray, h: float, scale: PerLane) -> int:
     """Number of states (steps, size, n) before the angles of one are, or change, so much
     that the next step is not to be trusted; all if none are.
     """
-    half = X.shape[1] // 2
-    top = np.abs(X).max(axis=(0, 2), initial=0.0) * scale.max()
-    if max(top[:half].max(), h * top[half:].max()) < _WILD:
+    # Time steps are below 1: a rate changes an angle by less than its own number.
+    bound = _WILD / scale.max()
+    if X.max(initial=0.0) < bound and X.min(initial=0.0) > -bound:
         return len(X)
 
+    half = X.shape[1] // 2
     angles = np.abs(X[:, :half]).max(axis=1)
     changes = h * np.abs(X[:, half:]).max(axis=1)
     is_tame = (np.maximum(angles, changes) * scale < _WILD).all(axis=1)
     return len(X) if is_tame.all() else int(is_tame.argmin())
-
-
-def _ends(X: np.ndarray, fraction: np.ndarray, scale: PerLane) -> dict[int, np.ndarray]:
-    """After which time steps (steps, n) lanes end, by why, in the order in which that
-    counts; what follows the first end of a lane does not.
-    """
-    ends = {STRUCK: fraction >= 0}
-    if not np.isfinite(X[-1]).all():  # what is lost remains so
-        ends[LOST] = ~np.isfinite(X[1:]).all(axis=1)
-    angle = X[1:, 0] * scale
-    with np.errstate(invalid="ignore"):
-        ends[FORWARD], ends[BACKWARD] = angle < -MAX_ANGLE, angle > MAX_ANGLE
-    return ends
-
-
-def _first_ends(
-    ends: dict[int, np.ndarray],
-) -> tuple[Numbers, np.ndarray, np.ndarray]:
-    """Lanes that end, after which time step, and why."""
-    any_end = np.logical_or.reduce([*ends.values()])
-    ended = np.flatnonzero(any_end.any(axis=0))
-    place = any_end.argmax(axis=0)[ended]
-    cause = np.full(len(ended), LOST)
-    for end, when in reversed(ends.items()):
-        cause[when[place, ended]] = end
-    return ended, place, cause
 
 
 @functools.lru_cache(maxsize=16)

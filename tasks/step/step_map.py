@@ -145,6 +145,14 @@ class Stride:
 
     singles = one
 
+    def carried(self, rows: np.ndarray) -> np.ndarray:
+        """Product of rows (i, m + k, n) with the derivatives of the image, at the given
+        durations, and of the guards by y, shape (i, m, n).
+        """
+        m = len(self.y)
+        by_y = self.derivative[:, :m] + np.eye(len(self.derivative), m)[..., None]
+        return matvec(rows[:, :, None], by_y)
+
     def move_impacts(self) -> None:
         """Correct the states at the impacts to the fixed point."""
         self.impact = self.impact + matvec(self.impact_by_y, self.newton)

@@ -28,7 +28,7 @@ from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.fits import feigenbaum as scaling
 from gaitsweep.tasks.gaits.newton import newton
 from gaitsweep.tasks.mechanics.arrays import LogSlopes, Marks, Slopes, Unknowns
-from gaitsweep.tasks.orbits.crisis import lost
+from gaitsweep.tasks.orbits.crisis import Attractor, lost
 from gaitsweep.tasks.orbits.initial_states import gaits_at, r_sequence
 from gaitsweep.tasks.orbits.walk import Walk
 from gaitsweep.tasks.step.drive import SLOPE
@@ -260,31 +260,37 @@ def _accumulation_row(name: str, family: _Family, unit: float) -> tuple[Any, ...
 def _lost_table(
     problem: Problem, families: dict[str, _Family], slope: Slopes, steps: int
 ) -> Arrays:
-    """The table of where the chaos beyond the flips of families ends."""
+    """The table of where the chaos beyond the flips of families ends, of those whose
+    flips accumulate.
+    """
+    attractors = _attractors(families, slope) if steps else {}
+    brackets = lost(problem, [*attractors.values()], steps)
     rows: list[tuple[Any, ...]] = []
-    for name, family in families.items():
-        rows += _lost_rows(problem, name, family, slope, steps)
+    for (name, attractor), bracket in zip(attractors.items(), brackets, strict=True):
+        _, begin, end = attractor
+        reason = _unbracketed(problem, *bracket, begin, end)
+        # Doublings may lead to smaller slopes.
+        rises = begin > families[name].flips[0]
+        unit = problem.drive.unit(problem.walker)
+        low, high = bracket if rises else bracket[::-1]
+        rows.append((name, unit * low, unit * high, _ORBITS, steps, reason))
     return table("lost", rows, _LOST)
 
 
-def _lost_rows(
-    problem: Problem, name: str, family: _Family, slope: Slopes, steps: int
-) -> list[tuple[Any, ...]]:
-    """Row of where the chaos beyond a family's flips ends, if these accumulate."""
-    accumulation = scaling.accumulation(family.flips)[0]
-    if not steps or not np.isfinite(accumulation):
-        return []
+def _attractors(families: dict[str, _Family], slope: Slopes) -> dict[str, Attractor]:
+    """Orbits on the attractors beyond the flips of families, of those that accumulate,
+    and the slopes between which they are lost.
+    """
+    attractors: dict[str, Attractor] = {}
+    for name, family in families.items():
+        accumulation = scaling.accumulation(family.flips)[0]
+        if np.isfinite(accumulation):
+            reach = accumulation + _MAX_EXTENT * (accumulation - family.flips[0])
+            end = float(np.clip(reach, slope[0], slope[-1]))
+            orbits = _spread_around(family.events[-1])
+            attractors[name] = orbits, accumulation, end
 
-    reach = accumulation + _MAX_EXTENT * (accumulation - family.flips[0])
-    end = float(np.clip(reach, slope[0], slope[-1]))
-    orbits = _spread_around(family.events[-1])
-    low, high = lost(problem, orbits, accumulation, end, steps)
-    reason = _unbracketed(problem, low, high, accumulation, end)
-    # Doublings may lead to smaller slopes.
-    rises = accumulation > family.flips[0]
-    unit = problem.drive.unit(problem.walker)
-    bracket = (unit * low, unit * high) if rises else (unit * high, unit * low)
-    return [(name, *bracket, _ORBITS, steps, reason)]
+    return attractors
 
 
 def _unbracketed(

@@ -234,5 +234,6 @@ def test_orbits_of_any_size_survive_unless_they_settle(monkeypatch, size):
     """
     rates = np.array([2.9, 3.2, 3.9])
     stepping(monkeypatch, lambda x, r: r * x * (1 - x / size))
-    survives = surviving_slopes(ANY, np.array([[0.3, 0.31]]) * size, rates, 200)
+    trial = np.array([[0.3, 0.31]]) * size, rates
+    (survives,) = surviving_slopes(ANY, [trial], 200)
     assert survives.tolist() == [False, True, True]

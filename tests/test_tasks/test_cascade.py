@@ -143,9 +143,10 @@ def test_the_loss_of_walking_is_searched_beyond_the_doublings_and_in_the_window(
     )
     gaits = [replace(gait, Z=np.vstack([gait.w, [[q]]])) for q in np.log(flips)]
 
-    def lost(problem, starts, low, high, strides):
+    def lost(problem, attractors, strides):
+        ((_, low, high),) = attractors
         searched.append((low, high))
-        return low + 0.25 * (high - low), low + 0.5 * (high - low)
+        return [(low + 0.25 * (high - low), low + 0.5 * (high - low))]
 
     monkeypatch.setattr(locate_cascade, "_first_gaits", lambda *_: [None])
     events = [locate_cascade._Event("flip", gait, 0.0) for gait in gaits]
@@ -302,16 +303,13 @@ def test_orbits_last_below_the_end_of_walking_and_not_above():
     slopes = np.array([0.012, 0.0165, 0.0185, 0.0193])
     _, gaits = gaits_at(problem, from_arrays(_atlas("D", ())), slopes, "long")
     spread = 1 + 1e-3 * np.linspace(-1, 1, 16)
-    last = [
-        surviving_slopes(problem, gaits[:, k : k + 1] * spread, slopes[k : k + 1], 120)[
-            0
-        ]
-        for k in range(4)
-    ]
+    trials = [(gaits[:, [k]] * spread, slopes[[k]]) for k in range(4)]
+    last = np.concatenate(surviving_slopes(problem, trials, 120)).tolist()
     # At 0.012 they settle on period one, which is no attractor of a cascade beyond its
     # doublings.
     assert last == [False, True, True, False]
-    alone = surviving_slopes(problem, gaits[:, 2:3] * spread, slopes, 120)
+    trial = gaits[:, [2]] * spread, slopes
+    (alone,) = surviving_slopes(problem, [trial], 120)
     assert alone.tolist()[2:] == [True, False]
 
 
@@ -319,12 +317,22 @@ def test_orbits_last_below_the_end_of_walking_and_not_above():
 MANY = np.zeros((3, 640))
 
 
-def test_a_bracket_of_a_few_orbits_is_begun_anew_where_more_are_lost(monkeypatch):
-    def survives(problem, starts, slope, strides):
-        return slope < (0.0131 if starts.shape[1] == 640 else 0.0137)
+def bracket_where(monkeypatch, survives, low, high):
+    """The bracket of a loss, by which slopes orbits survive at."""
 
-    monkeypatch.setattr(crisis, "surviving_slopes", survives)
-    low, high = crisis.lost(None, MANY, 0.01, 0.02, 50)
+    def side_by_side(problem, trials, strides):
+        return [survives(*trial) for trial in trials]
+
+    monkeypatch.setattr(crisis, "surviving_slopes", side_by_side)
+    (found,) = crisis.lost(None, [(MANY, low, high)], 50)
+    return found
+
+
+def test_a_bracket_of_a_few_orbits_is_begun_anew_where_more_are_lost(monkeypatch):
+    def survives(starts, slope):
+        return slope < (0.0131 if starts.shape[1] > crisis._FEW else 0.0137)
+
+    low, high = bracket_where(monkeypatch, survives, 0.01, 0.02)
     assert low < 0.0131 < high < 0.0137 and high - low < 1e-4
 
 
@@ -349,18 +357,43 @@ def test_brackets_of_one_loss_over_the_push_off_overlap():
 def test_the_bracket_of_a_lost_attractor_is_narrowed_where_it_is_lost(monkeypatch):
     asked = []
 
-    def survives(problem, starts, slope, strides):
+    def survives(starts, slope):
         asked.append(slope.tolist())
         return slope < 0.0137
 
-    monkeypatch.setattr(crisis, "surviving_slopes", survives)
     monkeypatch.setattr(crisis, "_ROUNDS", 2)
-    low, high = crisis.lost(None, MANY, 0.01, 0.02, 50)
+    low, high = bracket_where(monkeypatch, survives, 0.01, 0.02)
     assert (low, high) == pytest.approx((0.0136, 0.014)) and low < 0.0137 < high
     assert asked[0] == pytest.approx([0.01, 0.012, 0.014, 0.016, 0.018, 0.02])
     assert asked[1] == pytest.approx([0.0124, 0.0128, 0.0132, 0.0136])
-    assert crisis.lost(None, MANY, 0.001, 0.002, 50)[0] == 0.002
-    assert crisis.lost(None, MANY, 0.014, 0.02, 50)[1] == 0.014
+    assert bracket_where(monkeypatch, survives, 0.001, 0.002)[0] == 0.002
+    assert bracket_where(monkeypatch, survives, 0.014, 0.02)[1] == 0.014
+
+
+def test_attractors_are_lost_side_by_side_where_each_is_lost_alone(monkeypatch):
+    """Searches of other lengths: that of a few orbits alone, one that begins anew, and
+    one that ends at once.
+    """
+    monkeypatch.setattr(crisis, "_ROUNDS", 2)
+    monkeypatch.setattr(crisis, "_TRANSIENT", 4)
+    monkeypatch.setattr(crisis, "_FEW", 4)
+    problem = Problem(resolve("D"))
+    slopes = np.array([0.0165, 0.0185, 0.0193])
+    _, gaits = gaits_at(problem, from_arrays(_atlas("D", ())), slopes, "long")
+    spread = 1 + 1e-3 * np.linspace(-1, 1, 16)
+    attractors = [
+        (gaits[:, [k]] * spread, low, high)
+        for k, low, high in (
+            (0, 0.0165, 0.0185),
+            (1, 0.0185, 0.0195),
+            (2, 0.0195, 0.02),
+            (1, 0.018, 0.02),
+        )
+    ]
+    together = crisis.lost(problem, attractors, 40)
+    alone = [crisis.lost(problem, [each], 40)[0] for each in attractors]
+    assert repr(together) == repr(alone)
+    assert len(set(map(repr, alone))) == 4
 
 
 def test_a_loss_without_a_slope_says_why(monkeypatch):
@@ -370,7 +403,7 @@ def test_a_loss_without_a_slope_says_why(monkeypatch):
         ((np.nan, 0.02), "Orbits are lost at the accumulation point already"),
         ((0.02, 0.03), ""),
     ):
-        monkeypatch.setattr(locate_cascade, "lost", lambda *_, found=bracket: found)
+        monkeypatch.setattr(locate_cascade, "lost", lambda *_, found=bracket: [found])
         found = doublings("D", 0.014, 0.0195, periods=8, steps=5)
         assert found["lost/reason"][0].startswith(sentence) and bool(
             found["lost/reason"][0]

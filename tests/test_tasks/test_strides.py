@@ -10,7 +10,7 @@ from gaitsweep.tasks.contract.status import CONVERGED
 from gaitsweep.tasks.mechanics.kernel import Flow, integrating_seconds
 from gaitsweep.tasks.mechanics.lumped import structure_of
 from gaitsweep.tasks.step import simulate
-from gaitsweep.tasks.step.crossing import crossing
+from gaitsweep.tasks.step.crossing import crossings
 from gaitsweep.tasks.step.problem import Lanes, Problem
 from gaitsweep.tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
 from gaitsweep.tasks.step.verify_step import (
@@ -234,19 +234,62 @@ def test_strikes_within_a_time_step():
     """The stance angle counts where the guard is zero; a knee that flexes at the start
     may strike in the same step.
     """
-    states = np.array([[0.02, -0.0199, -1.0, 0.9], [-0.0425, 0.0365, -1.0, 0.9]])[
-        :, :, None
-    ]
-    assert crossing(False, states, 0.0625) == -1
+
+    def fractions(free, states):
+        return crossings(free, states[:, :, None], 0.0625)[2]
+
+    states = np.array([[0.02, -0.0199, -1.0, 0.9], [-0.0425, 0.0365, -1.0, 0.9]])
+    assert not len(fractions(False, states))
     states[:, 0] -= 0.03
     states[:, 1] += 0.03
-    assert 0 < crossing(False, states, 0.0625) < 0.1
+    assert 0 < fractions(False, states)[0] < 0.1
     knee = np.array(
         [[0.1, -0.1, -0.1, 0.0, 0.2, 0.0], [0.1, -0.1, -0.09, 0.0, -0.5, 0.0]]
-    )[:, :, None]
-    assert 0.2 < crossing(True, knee, 0.0625) < 0.6
+    )
+    assert 0.2 < fractions(True, knee)[0] < 0.6
     knee[0, 4] = -0.2  # behind its stop from the start
-    assert crossing(True, knee, 0.0625) == -1
+    assert not len(fractions(True, knee))
+
+
+def test_the_first_strike_of_a_lane_counts():
+    """Its guard falls through zero in the second time step and in the fourth; that of
+    its neighbour in the third.
+    """
+    states = np.zeros((5, 4, 2))
+    states[:, 0] = -0.5
+    states[:, 1, 0] = 0.5, 0.4, 0.4, 0.6, 0.4
+    states[:, 1, 1] = 0.9, 0.8, 0.6, 0.4, 0.2
+    states[:2, 1, 0] = 0.7, 0.6
+    states[:, 2] = -3.2
+    step, lane, fraction = crossings(False, states, 0.0625)
+    assert [*zip(step, lane, strict=True)] == [(1, 0), (2, 1), (3, 0)]
+    np.testing.assert_allclose(fraction, 0.5, atol=0.1)
+
+    problem = Problem(resolve("D"))
+    scan = simulate.scanner(problem.structure)
+    constants = problem.parameters(np.full(2, 0.01), np.full(2, 0.25))
+    begin, time = np.zeros((2, 2))
+    way = simulate._Way(
+        scan, False, 0.0625, begin, constants, None, states[0].copy(), time
+    )
+    ended, cause = way.end(np.arange(2), states, 0)
+    assert ended.tolist() == [0, 1]
+    assert cause.tolist() == [STRUCK, STRUCK]
+    assert (time // 0.0625).tolist() == [1, 2]
+
+
+def test_blocks_end_where_all_are_about_to_strike():
+    """The guard of one vanishes in 3.5 time steps, of the other in 9.5."""
+    x = np.zeros((4, 2))
+    x[1] = 0.35, 0.95
+    x[3] = -1.6
+    most = simulate._MAX_BLOCK
+    assert simulate._block_of(False, x, 0.0625, 99) == 2 + 9
+    assert simulate._block_of(False, x, 0.0625, 5) == 5
+    x[3, 0] = 0.1
+    assert simulate._block_of(False, x, 0.0625, 99) == most
+    many = np.zeros((4, 99999))
+    assert simulate._block_of(False, many, 0.0625, 99) == 1
 
 
 def test_a_guard_that_may_touch_zero_between_samples_is_in_doubt():
