@@ -99,7 +99,7 @@ class _Messages(logging.Handler):
             return
 
         try:
-            self.send("said", record.getMessage().removeprefix("gaitsweep: "))
+            self.send("said", record.getMessage())
         except Exception:
             self.handleError(record)
 
