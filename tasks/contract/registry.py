@@ -87,7 +87,7 @@ TASKS = {
         Task(
             "orbit",
             "gaitsweep.tasks.studies.iterate_orbits:orbit",
-            11,
+            12,
             needs=("atlas",),
         ),
         Task(
