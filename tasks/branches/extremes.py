@@ -151,10 +151,12 @@ def may_be(name: str, kind: ndarray) -> ndarray:
     ndarray of bool, shape (n,)
     """
     named = [other for other, about in KINDS.items() if name in about.extremes]
-    if name in COSTS:
-        return np.isin(kind, named)
-    # Where a branch ends for a reason of its own, too.
-    return np.isin(kind, named) | ~np.isin(kind, list(KINDS))
+    present = set(kind.tolist())  # mostly one: texts are compared slowly
+    may = present.intersection(named)
+    if name not in COSTS:
+        # Where a branch ends for a reason of its own, too.
+        may |= present.difference(KINDS)
+    return np.isin(kind, np.array(sorted(may), kind.dtype))
 
 
 def in_window(points: Points, window: tuple[float, float]) -> ndarray:

@@ -201,6 +201,7 @@ def fit(
     good: float,
     fair: float,
     keys: int,
+    enough: float = math.inf,
 ) -> Chart:
     """Add nodes to a chart until it is good, along the dimensions that it does not
     resolve.
@@ -219,14 +220,19 @@ def fit(
         The error wanted, and the largest of a useful chart.
     keys : int
         How many of the dimensions, the last, are those of keys.
+    enough : float
+        Nodes from which on a chart need only be useful.
 
     Raises
     ------
     Refused
         If the error is not fair where no nodes are added any more.
     """
-    while not chart.error <= good and math.prod(chart.sizes) < total:
-        sizes = more_nodes(chart, most, good)
+    while math.prod(chart.sizes) < total:
+        wanted = fair if math.prod(chart.sizes) >= enough else good
+        if chart.error <= wanted:
+            break
+        sizes = more_nodes(chart, most, wanted)
         if not sizes:
             break
         chart = attempt(sizes, chart)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -37,12 +37,13 @@ from gaitsweep.tasks.charts.division import divide
 from gaitsweep.tasks.charts.extension import Extension
 from gaitsweep.tasks.charts.family import Family
 from gaitsweep.tasks.charts.maker import Maker
-from gaitsweep.tasks.charts.manifold import Manifold
+from gaitsweep.tasks.charts.manifold import Manifold, Region
 from gaitsweep.tasks.charts.manifold_maker import make_manifold
 from gaitsweep.tasks.charts.tuning import Tuning
 from gaitsweep.tasks.contract.kinds import RIVALS, kind_of
 from gaitsweep.tasks.mechanics.lumped import Structure, common_structure
 from gaitsweep.tasks.step.lanes import join_lanes, lanes_of
+from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.step.sameness import SAME_GAIT, same
 
 #: Lines surveyed along each key, and designs along each key at which the manifolds are
@@ -106,7 +107,7 @@ class Landscape:
 
 
 def points_at(
-    maker: Maker,
+    problem: Lanes,
     manifolds: list[Manifold],
     unit: np.ndarray,
     window: tuple[float, float],
@@ -117,9 +118,11 @@ def points_at(
 
     Parameters
     ----------
-    maker : Maker
+    problem : Lanes
+        Of the designs.
     manifolds : list of Manifold
     unit : ndarray, shape (n, d)
+        Their coordinates of keys.
     window : (float, float)
         Least and largest ln slope.
     every : bool
@@ -137,10 +140,9 @@ def points_at(
     """
     if not manifolds:
         n = len(unit)
-        none = nothing(maker.problem(unit))
-        return none, np.ones(n, bool), np.zeros((n, 0), np.int8)
+        return nothing(problem), np.ones(n, bool), np.zeros((n, 0), np.int8)
 
-    designs = _Designs(maker, manifolds, unit, window)
+    designs = _Designs(problem, manifolds, unit, window)
     while (due := designs.left if every else designs.due()).any():
         for k in np.flatnonzero(due.any(axis=0)).tolist():
             designs.solve(k, np.flatnonzero(due[:, k]))
@@ -157,29 +159,37 @@ class _Designs:
 
     def __init__(
         self,
-        maker: Maker,
+        problem: Lanes,
         manifolds: list[Manifold],
         unit: np.ndarray,
         window: tuple[float, float],
     ):
         self.manifolds = manifolds
-        self.unit = unit
         self.window = window
-        self.problem = maker.problem(unit)
+        self.problem = problem
         n = len(unit)
-        self.parts = [nothing(self.problem)]
-
-        predicted = [manifold.predict(unit)[0] for manifold in manifolds]
-        radius = foot_radius(self.problem)
-        self.kinds = np.array([manifold.kind for manifold in manifolds])
-        self.log_slope = np.column_stack([Z[-1] for Z in predicted])
-        self.log_froude = np.column_stack([log_froude(Z, radius) for Z in predicted])
+        self.parts = [nothing(problem)]
 
         regions = [manifold.region for manifold in manifolds]
         self.left = np.column_stack([region.holds(unit) for region in regions])
         self.near = ~np.any([region.is_near(unit) for region in regions], axis=0)
         self.flags = np.where(self.left, -1, 0).astype(np.int8)
         self.served = {name: np.full(n, np.inf) for name in QUANTITIES}
+
+        self.predict(unit)
+        kinds = np.array([manifold.kind for manifold in manifolds])
+        self.may_be = {name: may_be(name, kinds) for name in QUANTITIES}
+
+    def predict(self, unit: np.ndarray) -> None:
+        """Predict the points of manifolds at the designs that have them."""
+        self.predicted = [
+            _where(held, *manifold.predict(unit[held]))
+            for manifold, held in zip(self.manifolds, self.left.T, strict=True)
+        ]
+        radius = foot_radius(self.problem)
+        points = [Z for Z, _ in self.predicted]
+        self.log_slope = np.column_stack([Z[-1] for Z in points])
+        self.log_froude = np.column_stack([log_froude(Z, radius) for Z in points])
 
     def due(self) -> np.ndarray:
         """The points that may be the extremes of quantities, as the predictions rank
@@ -188,7 +198,7 @@ class _Designs:
         due = np.zeros_like(self.left)
         for name in QUANTITIES:
             value = values(name, self.log_slope, self.log_froude)
-            may_serve = self.left & may_be(name, self.kinds)
+            may_serve = self.left & self.may_be[name]
             value = np.where(may_serve, value, np.inf)
             due |= (
                 (value <= value.min(axis=1, keepdims=True) + _TIE)
@@ -201,12 +211,14 @@ class _Designs:
     def solve(self, k: int, lanes: np.ndarray) -> None:
         """Solve the points of some designs on a manifold."""
         problem = self.problem.some(lanes)
-        points, fine = self.manifolds[k].polish(problem, self.unit[lanes])
+        Z, rows = (values[:, lanes] for values in self.predicted[k])
+        points, fine = self.manifolds[k].polish(problem, Z, rows)
         points.line = lanes
         self.near[lanes] &= fine
         self.left[lanes, k] = False
-        self.flags[lanes, k] = _flags(points, self.window)
-        for name, which in roles(points, self.window).items():
+        in_roles = roles(points, self.window)
+        self.flags[lanes, k] = _flags(points, in_roles)
+        for name, which in in_roles.items():
             value = values(name, points.log_slope, points.log_froude)
             served = np.where(which, value, np.inf)
             self.served[name][lanes] = np.minimum(self.served[name][lanes], served)
@@ -234,12 +246,23 @@ def is_known(flags: np.ndarray, patterns: set[bytes]) -> np.ndarray:
     )
 
 
-def _flags(points: Points, window: tuple[float, float]) -> np.ndarray:
-    """Quantities of which points may be the extremes, and the side to which the speed
-    grows, in bits, shape (n,).
+def _where(held: np.ndarray, *arrays: np.ndarray) -> list[np.ndarray]:
+    """Arrays (c, k) of the k of n designs that a manifold holds, as arrays (c, n); NaN of
+    the others.
     """
-    every = roles(points, window)
-    bits = [*every.values(), every["fastest_stable_speed"] & points.faster]
+    everywhere = []
+    for of_held in arrays:
+        of_all = np.full((len(of_held), len(held)), np.nan)
+        of_all[:, held] = of_held
+        everywhere.append(of_all)
+    return everywhere
+
+
+def _flags(points: Points, in_roles: dict[str, np.ndarray]) -> np.ndarray:
+    """Quantities of which points may be the extremes, as `roles` has them, and the side to
+    which the speed grows, in bits, shape (n,).
+    """
+    bits = [*in_roles.values(), in_roles["fastest_stable_speed"] & points.faster]
     return np.asarray(sum(2**k * bit for k, bit in enumerate(bits)), np.int8)
 
 
@@ -256,7 +279,8 @@ class _Line:
 
 class _Surveyor:
     """Finds the manifolds of a box; `lines` are those surveyed for boxes that hold it,
-    to which its own are added.
+    to which its own are added; `count` is about how many designs it has, which lie evenly
+    in the coordinates of `spread`.
     """
 
     def __init__(
@@ -265,15 +289,19 @@ class _Surveyor:
         box: Box,
         sought: Sought,
         lines: list[_Line],
+        spread: Box,
+        count: float,
     ):
         self.structure = common_structure(family.walkers(box.nodes(len(_NODES))))
         self.maker = Maker(family, box, self.structure)
         self.box = box
         self.lines = lines
+        self.count = count
         self.d = len(box.keys)
         self.sought = sought
         self.window = sought.window
         self.lattice = _lattice(box)
+        self.designs = box.unit(spread.at(_evenly(self.d)))
 
         self.unit = np.zeros((0, self.d))
         self.points: list[Points] = []
@@ -375,7 +403,18 @@ class _Surveyor:
 
     def solve(self, manifolds: list[Manifold]) -> Points:
         """The points of manifolds on all lines."""
-        return points_at(self.maker, manifolds, self.unit, self.window, every=True)[0]
+        return self.points_at(manifolds, self.unit)[0]
+
+    def points_at(
+        self, manifolds: list[Manifold], unit: np.ndarray
+    ) -> tuple[Points, np.ndarray, np.ndarray]:
+        """All points of manifolds at designs (n, d), as `points_at` has them."""
+        problem = self.maker.problem(unit)
+        return points_at(problem, manifolds, unit, self.window, every=True)
+
+    def designs_in(self, region: Region) -> float:
+        """About how many designs have a point of a region."""
+        return self.count * float(region.holds(self.designs).mean())
 
     def extremes(self) -> Iterator[tuple[int, str, int]]:
         """Numbers of lines, the quantities that have an extreme there, and the numbers
@@ -466,15 +505,13 @@ class _Surveyor:
         self.tried.add((kind, i, name))
         point = self.unit[i], points.Z[:, k]
         extension = Extension(self.maker, kind, target, *point)
-        self.manifolds.append(make_manifold(extension))
+        self.manifolds.append(make_manifold(extension, self.designs_in))
 
     def patterns(self) -> set[bytes]:
         """Flags of the manifolds on lines whose extremes they reproduce, and on none
         whose extremes they do not.
         """
-        solved, near, flags = points_at(
-            self.maker, self.manifolds, self.unit, self.window, every=True
-        )
+        solved, near, flags = self.points_at(self.manifolds, self.unit)
         chosen = best(solved, len(self.unit), self.window)
         patterns: set[bytes] = set()
         others: set[bytes] = set()
@@ -496,9 +533,7 @@ class _Surveyor:
         """Designs (n, d) of the lattice with flags of no line so far, one for each, and
         the share with these.
         """
-        _, near, flags = points_at(
-            self.maker, self.manifolds, self.lattice, self.window, every=True
-        )
+        _, near, flags = self.points_at(self.manifolds, self.lattice)
         by_pattern: dict[bytes, list[int]] = {}
         for i in np.flatnonzero(near).tolist():
             by_pattern.setdefault(flags[i].tobytes(), []).append(i)
@@ -543,6 +578,12 @@ def _lattice(box: Box) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
 
 
+def _evenly(d: int) -> np.ndarray:
+    """Points (n, d) that fill the cube from -1 to 1 evenly."""
+    middles = (np.arange(_LATTICE) + 0.5) / _LATTICE * 2 - 1
+    return np.array(list(itertools.product(middles, repeat=d)))
+
+
 def _is_same(
     a: Points,
     i: Any,
@@ -557,6 +598,7 @@ def make(
     box: Box,
     sought: Sought,
     count: float,
+    log: bool | tuple[bool, ...] = False,
     splits: int = _MAX_SPLITS,
 ) -> list[Landscape]:
     """Make the landscapes of a box, or of the parts into which it is divided.
@@ -568,6 +610,8 @@ def make(
     sought : Sought
     count : float
         About how many designs it is for.
+    log : bool or tuple of bool
+        Whether these are spread by the logarithms of keys, for all or for each.
     splits : int
         How often it may be halved.
     """
@@ -575,7 +619,9 @@ def make(
     tried: list[Box] = []
 
     def landscape(part: Box, why: str) -> Landscape:
-        surveyor = _Surveyor(family, part, sought, lines)
+        spread = replace(part, log=log, origin=())
+        number = replace(box, log=log, origin=()).share(part) * count
+        surveyor = _Surveyor(family, part, sought, lines, spread, number)
         if why:
             return Landscape(part, surveyor.structure, why=why)
         tried.append(part)

@@ -27,10 +27,12 @@ from gaitsweep.tasks.step.step_map import SAMPLES
 #: Factor by which a point may lie farther from its prediction, and err more, than those
 #: drawn.
 _SAFETY = 8.0
-#: Smallest error of predictions: below is rounding.
-LEAST = 1e-9
-#: Error above which a further Newton step is taken.
+#: Distance from a prediction that is near, however well those drawn were predicted:
+#: what a step leaves is counted by its own length.
+_NEAR = 1e-6
+#: Error above which a further Newton step is taken, and most of these.
 _GOAL = 1e-10
+_FURTHER = 3
 #: Distance from an end at which its gaits must be steps.
 _INSIDE = 1e-3
 #: Share of the way to a turn within which designs are surveyed, the smallest that
@@ -191,7 +193,9 @@ class Manifold:
         """
         return self.region.predict(self.chart, unit)
 
-    def polish(self, problem: Lanes, unit: np.ndarray) -> tuple[Points, np.ndarray]:
+    def polish(
+        self, problem: Lanes, Z: np.ndarray, rows: np.ndarray
+    ) -> tuple[Points, np.ndarray]:
         """Solve the points of designs that are `there`, by a Newton step from their
         predictions.
 
@@ -199,8 +203,8 @@ class Manifold:
         ----------
         problem : Lanes
             Of n lanes.
-        unit : ndarray, shape (n, d)
-            Coordinates of keys.
+        Z, rows : ndarray, shape (c, n)
+            As `predict` has them.
 
         Returns
         -------
@@ -208,22 +212,14 @@ class Manifold:
         near : ndarray of bool, shape (n,)
             Whether they are as near their predictions as they should be.
         """
-        Z, rows = self.predict(unit)
         condition = CONDITIONS[self.kind].equal_to(self.target)
         equations = Equations(problem, [condition])
         step = newton_step(equations, Z, rows, 0 if condition.walking else SAMPLES)
-        near = step.last_step <= _SAFETY * max(self.chart.error, LEAST)
+        near = step.last_step <= _SAFETY * max(self.chart.error, _NEAR / _SAFETY)
         walks = _walks(problem, condition, step, near)
-        error = self._error(step.last_step) + step.rounding
-        again = np.flatnonzero(near & (error > _GOAL))
-        if len(again):
-            some = equations.some(again)
-            further = newton_step(some, step.Z[:, again], rows[:, again])
-            step.Z[:, again] = further.Z
-            error[again] = self._error(further.last_step) + further.rounding
-
+        error = self._further(equations, step, rows, near)
         points = classify(
-            self.kind, step.at, np.arange(len(unit)), step.Z, rows, error, walks
+            self.kind, step.at, np.arange(Z.shape[1]), step.Z, rows, error, walks
         )
         # Where the speed grows towards the other side of the point, it has a maximum
         # before it.
@@ -231,6 +227,32 @@ class Manifold:
             total(log_froude_by_Z(Z, foot_radius(problem)) * step.direction) > 0
         )
         return points, near
+
+    def _further(
+        self,
+        equations: Equations,
+        step: Point,
+        rows: np.ndarray,
+        near: np.ndarray,
+    ) -> np.ndarray:
+        """Take further Newton steps, in place, at points that are near and err too much,
+        and return the errors of all, (n,).
+        """
+        error = self._error(step.last_step) + step.rounding
+        size = step.last_step.copy()
+        for _ in range(_FURTHER):
+            again = np.flatnonzero(near & (error > _GOAL))
+            if not len(again):
+                break
+            some = equations.some(again)
+            further = newton_step(some, step.Z[:, again], rows[:, again])
+            step.Z[:, again] = further.Z
+            # By how much steps shrink shows what the last one leaves.
+            left = _SAFETY * further.last_step**2 / size[again]
+            left = np.maximum(self._error(further.last_step), left)
+            error[again] = left + further.rounding
+            size[again] = further.last_step
+        return error
 
     def _error(self, size: np.ndarray) -> np.ndarray:
         """Error after a Newton step of some size."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 
@@ -14,28 +15,36 @@ from gaitsweep.tasks.charts.chart import Chart, fit
 from gaitsweep.tasks.charts.cut import cut, vanishing_beside
 from gaitsweep.tasks.charts.extension import Extension
 from gaitsweep.tasks.charts.maker import Maker
-from gaitsweep.tasks.charts.manifold import LEAST, Manifold, Region
+from gaitsweep.tasks.charts.manifold import Manifold, Region
 
 #: First and most nodes along each key, and the error of predictions below which no more
 #: are taken.
 _FIRST = 5
 _MAX_NODES = 48
-_GOOD = 1e-6
+_GOOD = 2e-7
 #: Error of the ends of pieces below which no more nodes are taken.
 _GOOD_ENDS = 1e-9
 #: Largest error of the predictions of a useful manifold.
 _FAIR = 1e-4
-#: Displacement that shows how Newton's method converges.
-_DISPLACED = 1e-4
+#: A chart that is not good costs its designs a second Newton step, at most; so many of
+#: these take as long as what follows from a node: charts of more nodes, and derivatives.
+_A_NODE = 20
+#: Displacements that show how Newton's method converges: where the error of the rows
+#: counts, and where the equations bend.
+_SHORT, _LONG = 1e-7, 1e-4
 
 
-def make_manifold(extension: Extension) -> Manifold:
+def make_manifold(
+    extension: Extension, served: Callable[[Region], float] = lambda _: math.inf
+) -> Manifold:
     """Return the manifold through a point.
 
     Parameters
     ----------
     extension : Extension
         Of the point.
+    served : callable
+        About how many designs have a point of a region.
 
     Raises
     ------
@@ -57,7 +66,9 @@ def make_manifold(extension: Extension) -> Manifold:
 
     first = first or extension.chart(region, sizes)
     total = _MAX_NODES**extension.d
-    return measured(extension, region, _fit(extension, region, first, _GOOD, total))
+    enough = served(region) / _A_NODE
+    chart = _fit(extension, region, first, _GOOD, total, enough)
+    return measured(extension, region, chart)
 
 
 def make_ends(
@@ -110,11 +121,12 @@ def _fit(
     first: Chart,
     good: float,
     total: int,
+    enough: float = math.inf,
 ) -> Chart:
-    """Add nodes to a chart until it is good, or refuse it."""
+    """Add nodes to a chart until it is good, or has enough, or refuse it."""
     attempt = partial(extension.chart, region)
     d = extension.d
-    return fit(first, attempt, (_MAX_NODES,) * d, total, good, _FAIR, d)
+    return fit(first, attempt, (_MAX_NODES,) * d, total, good, _FAIR, d, enough)
 
 
 def _check(
@@ -146,7 +158,7 @@ def measured(
     problem = extension.problem(nodes)
     guess, rows = region.predict(chart, nodes)
     Z = solve(extension.equations(problem), guess, rows).Z
-    rows = extension.gradient(problem, Z)
+    rows = extension.rough_gradient(problem, Z)
     chart = extension.fitted(chart.sizes, region, Z, rows)
 
     unit = extension.drawn(region, chart)
@@ -158,20 +170,21 @@ def measured(
     step = partial(newton_step, equations, rows=rows)
     first = step(guess)
     left = np.abs(first.Z - solved.Z).max(axis=0)
-    linear = (left / np.maximum(first.last_step, LEAST)).max()
-    quadratic = _quadratic(extension.box, step, solved.Z)
+    # What shorter steps leave is rounding, which counts by itself.
+    linear = (left / np.maximum(first.last_step, _SHORT)).max()
+    linear = max(float(linear), _left(extension.box, step, solved.Z, _SHORT) / _SHORT)
+    quadratic = _left(extension.box, step, solved.Z, _LONG) / _LONG**2
 
-    return Manifold(
-        extension.kind, extension.target, region, chart, float(linear), quadratic
-    )
+    return Manifold(extension.kind, extension.target, region, chart, linear, quadratic)
 
 
-def _quadratic(
+def _left(
     box: Box,
     step: Callable[[np.ndarray], Point],
     Z: np.ndarray,
+    displaced: float,
 ) -> float:
-    """Largest error after a Newton step beside points Z (c, n), over its square."""
+    """Largest error after a Newton step so far beside points Z (c, n)."""
     signs = np.sign(box.draw(Z.shape[1], len(Z), "displaced")).T
-    off = step(Z + _DISPLACED * signs).Z - Z
-    return float(np.abs(off).max() / _DISPLACED**2)
+    off = step(Z + displaced * signs).Z - Z
+    return float(np.abs(off).max())

@@ -87,7 +87,7 @@ TASKS = {
         Task(
             "orbit",
             "gaitsweep.tasks.studies.iterate_orbits:orbit",
-            11,
+            12,
             needs=("atlas",),
         ),
         Task(
@@ -100,7 +100,7 @@ TASKS = {
         Task(
             "curve", "gaitsweep.tasks.studies.follow_curves:curve", 34, needs=("atlas",)
         ),
-        Task("design", "gaitsweep.tasks.studies.map_designs:design", 28),
+        Task("design", "gaitsweep.tasks.studies.map_designs:design", 29),
         Task("optimum", "gaitsweep.tasks.studies.optimise_walker:optimum", 4),
         Task("census", "gaitsweep.tasks.studies.count_gaits:census", 19),
         Task("measured", "gaitsweep.tasks.studies.solve_measured:measured", 3),

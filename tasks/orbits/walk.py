@@ -32,6 +32,8 @@ class Walk:
         Section coordinates before the last step, of those that walk on.
     jacobian : ndarray, shape (m, m, k)
         Of the last step, of those that walk on; empty where it was not exact.
+    closing : ndarray, shape (m + phases, phases, k)
+        As `SimulatedSteps` has it, the same.
     taken : ndarray of int, shape (n,)
         Steps that did not end in a fall.
     outcome : ndarray of int, shape (n,)
@@ -46,7 +48,7 @@ class Walk:
         self.y = y.copy()
         self.times = np.full((problem.phases, n), np.nan)
         self.before = y
-        self.jacobian = np.empty((0, 0, n))
+        self.jacobian = self.closing = np.empty((0, 0, n))
         self.taken = np.zeros(n, int)
         self.outcome = np.full(n, STRUCK)
 
@@ -74,6 +76,7 @@ class Walk:
             self.lanes = lanes[walks]
             self.before = before[:, walks]
             self.jacobian = step.jacobian[:, :, walks]
+            self.closing = step.closing[:, :, walks]
             self.taken[self.lanes] += 1
             yield number
 

@@ -37,6 +37,7 @@ from gaitsweep.tasks.mechanics.kernel import (
     whole_groups,
 )
 from gaitsweep.tasks.mechanics.lumped import Structure
+from gaitsweep.tasks.mechanics.sums import total
 from gaitsweep.tasks.step.crossing import crossings, guard
 from gaitsweep.tasks.step.lanes import join_lanes
 from gaitsweep.tasks.step.problem import Problem, scale_of
@@ -95,12 +96,16 @@ class SimulatedSteps:
         Index of CAUSES.
     jacobian : ndarray, shape (m, m, n)
         NaN of falls; empty where the steps are not exact.
+    closing : ndarray, shape (m + k, k, n)
+        How image [per rad] and times [sqrt(leg/g) per scaled angle] change with what the
+        guards of the strikes are off; the same.
     """
 
     image: Sections
     times: Times
     outcome: np.ndarray
     jacobian: np.ndarray
+    closing: np.ndarray
 
 
 class Scanner:
@@ -500,14 +505,35 @@ def _correct(
     parameters: Parameters,
 ) -> None:
     """Correct simulated steps from scaled sections by the exact step map, in place."""
-    steps.jacobian = np.full((len(y), *y.shape), np.nan)
+    m, k = len(y), len(steps.times)
+    steps.jacobian = np.full((m, *y.shape), np.nan)
+    steps.closing = np.full((m + k, k, y.shape[1]), np.nan)
     lanes = np.flatnonzero(steps.outcome == STRUCK)
     if len(lanes):
         at = problem.step(y[:, lanes], steps.times[:, lanes], parameters[:, lanes])
         steps.image[:, lanes] = at.image * scale[lanes]
         steps.times[:, lanes] = at.times
         steps.jacobian[:, :, lanes] = at.jacobian
+        steps.closing[:, :, lanes] = _closing(at.derivative, m, k)
         steps.outcome[lanes[~np.isfinite(at.image).all(axis=0)]] = LOST
+
+
+def _closing(derivative: np.ndarray, m: int, k: int) -> np.ndarray:
+    """What `SimulatedSteps` has, from the derivatives of the joint equations by state,
+    times and drive, (m + k, m + k + 1, n).
+    """
+    by_times = derivative[:, m : m + k]
+    guards = by_times[m:]
+    # A guard does not feel the strikes after its own.
+    moved = np.zeros_like(guards)
+    for i in range(k):
+        moved[i, i] = 1.0
+        for j in range(i):
+            moved[i] += guards[i, j] * moved[j]
+        moved[i] = -moved[i] / guards[i, i]
+
+    image = total(by_times[:m, [j]] * moved[j] for j in range(k))
+    return np.concatenate([image, moved])
 
 
 def fly_on(
@@ -632,7 +658,9 @@ def _scan(
     x = walk(None)
     if len(lanes):
         image[:, lanes] = scan.strike(x, parameters[:, lanes]) * scale[lanes]
-    return SimulatedSteps(image, times, outcome, np.empty((0, 0, n))), scale, parameters
+    none = np.empty((0, 0, n))
+    steps = SimulatedSteps(image, times, outcome, none, none)
+    return steps, scale, parameters
 
 
 def _standing(y: Sections) -> tuple[Numbers, np.ndarray]:

@@ -13,6 +13,7 @@ from gaitsweep.tasks.contract import registry
 from gaitsweep.tasks.contract.status import over
 from gaitsweep.tasks.contract.tables import Arrays, nothing, table
 from gaitsweep.tasks.gaits.polish import SAFETY_FACTOR
+from gaitsweep.tasks.mechanics.sums import matvec
 from gaitsweep.tasks.orbits.initial_states import NO_START, gaits_at, r_sequence
 from gaitsweep.tasks.orbits.lyapunov import Exponents, estimate
 from gaitsweep.tasks.orbits.walk import Walk
@@ -37,6 +38,8 @@ _SHOWN = (
     "error_bound",
 )
 _EXPONENTS = ("slope", "index", "exponent", "standard_error", "strides", "reason")
+#: Unit, over that of a step, in which it is integrated again.
+_OTHER_UNIT = 0.75
 #: Longest period at which an orbit is tested for repetition.
 _MAX_PERIOD = 64
 
@@ -285,18 +288,25 @@ def _row(walk: Walk) -> np.ndarray:
     Notes
     -----
     The step is integrated again in another unit, in which every operation rounds differently; the bound is the change
-    times the factor that a gait's bound takes of its standard deviation.
+    times the factor that a gait's bound takes of its standard deviation. Without
+    derivatives: what guards are off there is closed by those of the step itself.
     """
     lanes, problem = walk.lanes, walk.problem
     y = walk.before
     image = walk.y[:, lanes]
     times = walk.times[:, lanes]
     slope = walk.slope[lanes]
-    unit = 0.75 * scale_of(y[0])
-    again = problem.map(y / unit, times, problem.parameters(slope, unit))
+    unit = _OTHER_UNIT * scale_of(y[0])
+    again = problem.map.without_derivatives(
+        y / unit, times, problem.parameters(slope, unit)
+    )
+    m = len(y)
+    guards = again.residual[m:]
+    image_again = again.image + matvec(walk.closing[:m], guards)
+    later = matvec(walk.closing[m:], _OTHER_UNIT * guards)
 
-    of_image = np.abs(again.image * unit - image) / sizes(image)
-    of_period = np.abs(again.times[-1] / times[-1] - 1)
+    of_image = np.abs(image_again * unit - image) / sizes(image)
+    of_period = np.abs(later[-1] / times[-1])
     error = np.vstack([of_image, of_period]).max(axis=0)
     bound = SAFETY_FACTOR * (error + EPS)
     return np.vstack([problem.start(y, slope), times[-1], bound])

@@ -299,7 +299,7 @@ def _over_plane(
     values = np.column_stack([designs.keys[key] for key in family.keys])
     accepted = np.zeros(designs.n, bool)
     left = np.ones(designs.n, bool)
-    for part in _landscapes(family, plane.box, rows.sought, plane.lines):
+    for part in _landscapes(family, plane.box, rows.sought, plane.lines, plane.log):
         is_above = (values >= part.box.low).all(axis=1)
         is_below = (values <= part.box.high).all(axis=1)
         inside = np.flatnonzero(left & is_above & is_below)
@@ -317,9 +317,12 @@ def _landscapes(
     box: Box,
     sought: Sought,
     count: float,
+    log: tuple[bool, ...],
 ) -> list[Landscape]:
-    """Landscapes of a box, for about so many designs."""
-    return make(family, box, sought, count)
+    """Landscapes of a box, for about so many designs, spread by the logarithms of some
+    keys.
+    """
+    return make(family, box, sought, count, log)
 
 
 def _solve(
@@ -339,13 +342,14 @@ def _solve(
     """
     maker = Maker(family, landscape.box, landscape.structure)
     unit = landscape.box.unit(keys)
+    problem = maker.problem(unit)
     points, accepted, flags = points_at(
-        maker, landscape.manifolds, unit, rows.sought.window
+        problem, landscape.manifolds, unit, rows.sought.window
     )
     accepted &= is_known(flags, landscape.patterns)
     if landscape.any_slope:
         accepted &= are_tuned(family.walkers(keys))
-    rows.store(maker.problem(unit), numbers, points, 0, landscape.any_slope, accepted)
+    rows.store(problem, numbers, points, 0, landscape.any_slope, accepted)
     return accepted
 
 

@@ -34,6 +34,7 @@ def stepping(monkeypatch, image, module=walks):
             outcome=outcome,
             times=np.sum(y, axis=0)[None],
             jacobian=y[None],
+            closing=y[None],
         )
 
     monkeypatch.setattr(module, "stride", step)
@@ -186,7 +187,10 @@ def test_the_curvature_along_both_vectors_of_a_pair_counts(monkeypatch):
             after = centre + turn @ off + 300 * off[along] ** 2
             jacobian = np.repeat(turn[:, :, None], y.shape[1], axis=2)
             return SimpleNamespace(
-                image=after, outcome=np.zeros(y.shape[1], int), jacobian=jacobian
+                image=after,
+                outcome=np.zeros(y.shape[1], int),
+                jacobian=jacobian,
+                closing=jacobian,
             )
 
         monkeypatch.setattr(capturing, "stride", step)

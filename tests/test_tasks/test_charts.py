@@ -16,7 +16,15 @@ from gaitsweep.tasks.studies.interpolate import _away_from_ends, panels_over
 
 
 def growing(
-    error, tails, good=1e-6, fair=1.0, most=(9, 9), keys=1, first=(4, 3), total=10**9
+    error,
+    tails,
+    good=1e-6,
+    fair=1.0,
+    most=(9, 9),
+    keys=1,
+    first=(4, 3),
+    total=10**9,
+    enough=np.inf,
 ):
     """Sizes of the charts that `fit` tries, whose errors and last coefficients are
     functions of their sizes.
@@ -39,7 +47,19 @@ def growing(
         good,
         fair,
         keys,
+        enough,
     ), tried
+
+
+def test_a_chart_of_enough_nodes_need_only_be_useful():
+    def tried(error, enough):
+        return growing(lambda n: error, lambda n: (0, 1e-3), fair=1e-2, enough=enough)[
+            1
+        ]
+
+    assert tried(1e-3, 12) == [(4, 3)] and tried(1e-3, 13) == [(4, 3), (4, 5)]
+    with pytest.raises(Refused):
+        tried(0.1, 12)
 
 
 def test_nodes_are_added_where_the_last_coefficients_exceed_a_tenth_of_the_error_wanted():

@@ -215,6 +215,35 @@ def test_wrong_polynomials_change_no_accepted_value(made, by):
     assert_accepted_agree(out, other, still & accepted)
 
 
+def test_points_are_near_whose_predictions_err_by_less_than_counts(made):
+    """Of random designs that measure a chart all may be predicted better than others."""
+    family, right = made("A")
+    keys = right.box.at(np.random.default_rng(3).uniform(-1, 1, (200, 2)))
+    lucky = copy.deepcopy(right)
+    lucky.manifolds = [
+        replace(m, chart=replace(m.chart, error=0.0)) for m in right.manifolds
+    ]
+    out, accepted = solved(family, right, keys)
+    other, still = solved(family, lucky, keys)
+    assert still[accepted].mean() > 0.9
+    assert_accepted_agree(out, other, still & accepted)
+
+
+@pytest.mark.parametrize("by", [1e-5, 1e-3])
+def test_newton_steps_are_taken_until_little_is_left(made, by):
+    family, right = made("A")
+    keys = right.box.at(np.random.default_rng(3).uniform(-1, 1, (200, 2)))
+    wrong = copy.deepcopy(right)
+    for manifold in wrong.manifolds:
+        manifold.chart.coefficients[:] *= 1 + by
+    wrong.manifolds = [
+        replace(m, chart=replace(m.chart, error=1.0)) for m in wrong.manifolds
+    ]
+    out, accepted = solved(family, wrong, keys)
+    assert accepted.mean() > 0.8
+    assert np.nanmax(out.at["smallest_slope"]["error"]) < 1e-10
+
+
 def test_polynomials_that_changed_places_are_not_accepted(made):
     family, right = made("A")
     keys = right.box.at(np.random.default_rng(3).uniform(-1, 1, (50, 2)))
@@ -235,7 +264,7 @@ def test_designs_unlike_any_surveyed_line_are_not_accepted(made):
 
 def test_a_dropped_manifold_is_found_again(made):
     family, right = made("A")
-    surveyor = _Surveyor(family, right.box, SOUGHT, [])
+    surveyor = _Surveyor(family, right.box, SOUGHT, [], right.box, 1000)
     surveyor.survey(right.box.unit(np.array([[0.46, 0.1], [0.47, 0.9], [0.64, 0.05]])))
     surveyor.manifolds = list(right.manifolds)
     assert not surveyor.add_missing()
@@ -704,6 +733,26 @@ def test_a_row_of_differences_is_the_derivative():
         assert there - here == pytest.approx(2 * float(row @ move[:, 0]), rel=1e-4)
 
 
+def test_rough_rows_are_the_derivatives_with_half_as_many_steps(extension):
+    problem, Z = extension.problem(np.zeros((1, 1))), extension.Z[:, None]
+    exact, rough = extension.gradient(problem, Z), extension.rough_gradient(problem, Z)
+    np.testing.assert_allclose(rough, exact, rtol=0, atol=1e-5 * np.abs(exact).max())
+
+
+def test_designs_count_that_have_a_point_of_a_region(made):
+    family, right = made("A")
+    surveyor = _Surveyor(family, right.box, SOUGHT, [], right.box, 800)
+    half = Region(0, 1, Chart((1,), np.zeros((1, 1))))
+    assert surveyor.designs_in(Region.whole(2)) == 800
+    assert surveyor.designs_in(half) == pytest.approx(400, rel=0.1)
+
+
+def test_a_manifold_for_few_designs_need_only_be_useful(extension):
+    many, few = make_manifold(extension), make_manifold(extension, lambda _: 40.0)
+    assert few.chart.sizes < many.chart.sizes
+    assert many.chart.error < 2e-7 < few.chart.error < 1e-4
+
+
 def test_a_stale_row_is_brought_up_to_date_without_differences(monkeypatch):
     problem = lanes("A", detuning=0.3, m_h=0.5)
     points = find(problem, survey_lines(problem, COARSE), SOUGHT)
@@ -729,9 +778,9 @@ def test_halves_of_a_box_keep_its_surveyed_lines(monkeypatch):
     walker, keys = PLANES["A"]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box, lines = Box(tuple(keys), *zip(*keys.values(), strict=True), log=True), []
-    _Surveyor(family, box, SOUGHT, lines).begin()
+    _Surveyor(family, box, SOUGHT, lines, box, 1000).begin()
     for half in box.parts(0):
-        surveyor = _Surveyor(family, half, SOUGHT, lines)
+        surveyor = _Surveyor(family, half, SOUGHT, lines, half, 500)
         surveyor.begin()
         assert len(surveyor.unit) >= 11 and len(set(surveyor.nodes.tolist())) == 9
         assert np.abs(surveyor.unit[surveyor.nodes]).max() <= 1 + 1e-12
@@ -795,7 +844,7 @@ def test_points_at_nodes_of_a_manifold_are_solved_to_rounding_and_rows_ask_for_n
     assert newton_step(equations, Z, rows).last_step.max() < 1e-11
     by_differences = equations.gradient(CONDITIONS["flip"], Z)
     np.testing.assert_allclose(
-        rows, by_differences, rtol=1e-6, atol=1e-6 * np.abs(rows).max()
+        rows, by_differences, rtol=1e-5, atol=1e-5 * np.abs(rows).max()
     )
     c = len(Z)
     assert (manifold.chart.tails()[:, c:] == 0).all() and (

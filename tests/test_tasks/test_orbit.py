@@ -9,13 +9,14 @@ import pytest
 
 from gaitsweep.tasks.branches.atlas import from_arrays
 from gaitsweep.tasks.branches.special_points import special_points
+from gaitsweep.tasks.mechanics.sums import matvec
 from gaitsweep.tasks.orbits import initial_states
 from gaitsweep.tasks.orbits import walk as walks
 from gaitsweep.tasks.orbits.initial_states import gaits_at, r_sequence
 from gaitsweep.tasks.orbits.lyapunov import Exponents, estimate, orthogonalised
 from gaitsweep.tasks.orbits.walk import Walk
 from gaitsweep.tasks.step import simulate
-from gaitsweep.tasks.step.problem import Problem
+from gaitsweep.tasks.step.problem import Problem, scale_of
 from gaitsweep.tasks.step.simulate import stride
 from gaitsweep.tasks.studies import iterate_orbits as orbits
 from gaitsweep.tasks.studies import map_basin as basins
@@ -204,6 +205,28 @@ def test_periods_double_and_walking_ends():
     assert found["survival/lifetime"][:3].tolist() == [np.inf] * 3
 
 
+@pytest.mark.parametrize(("walker", "slope"), [("D", 0.009), ("A", 0.05), ("C", 0.07)])
+def test_guards_that_are_off_are_closed_by_the_derivatives_of_the_step(walker, slope):
+    """To first order: of times that are off by 1e-6 the square is left."""
+    problem, found = branches(walker)
+    slopes = np.array([slope])
+    y = gaits_at(problem, found, slopes, "long")[1] * 1.001
+    steps, scale = stride(problem, y, slopes), scale_of(y[0])
+    off = 1e-6 * np.arange(1, problem.phases + 1)[:, None]
+
+    beside = problem.map.without_derivatives(
+        y / scale, steps.times + off, problem.parameters(slopes, scale)
+    )
+
+    m = problem.m
+    guards = beside.residual[m:]
+    image = (beside.image + matvec(steps.closing[:m], guards)) * scale
+    left = off + matvec(steps.closing[m:], guards)
+    assert np.abs(guards).min() > 1e-8
+    assert np.abs(image - steps.image).max() < 1e-10
+    assert np.abs(left).max() < 1e-10
+
+
 def test_an_orbit_keeps_its_bits_in_any_company():
     """Chaos doubles an error every other stride: a slip of one bit would show."""
     together = walked([0.0150, 0.0188, 0.0189, 0.0193])
@@ -290,6 +313,7 @@ def test_steps_of_an_orbit_that_repeats_are_left_out_and_change_no_bit(
             outcome=fell,
             times=0 * y[:1],
             jacobian=0 * y[None],
+            closing=0 * y[None],
         )
 
     monkeypatch.setattr(walks, "stride", step)
