@@ -33,6 +33,7 @@ _NEAR = 1e-6
 #: Error above which a further Newton step is taken, and most of these.
 _GOAL = 1e-10
 _FURTHER = 3
+_TINY = np.finfo(float).tiny
 #: Distance from an end at which its gaits must be steps.
 _INSIDE = 1e-3
 #: Share of the way to a turn within which designs are surveyed, the smallest that
@@ -215,7 +216,7 @@ class Manifold:
         condition = CONDITIONS[self.kind].equal_to(self.target)
         equations = Equations(problem, [condition])
         step = newton_step(equations, Z, rows, 0 if condition.walking else SAMPLES)
-        near = step.last_step <= _SAFETY * max(self.chart.error, _NEAR / _SAFETY)
+        near = step.last_step <= max(_SAFETY * self.chart.error, _NEAR)
         walks = _walks(problem, condition, step, near)
         error = self._further(equations, step, rows, near)
         points = classify(
@@ -248,7 +249,7 @@ class Manifold:
             further = newton_step(some, step.Z[:, again], rows[:, again])
             step.Z[:, again] = further.Z
             # By how much steps shrink shows what the last one leaves.
-            left = _SAFETY * further.last_step**2 / size[again]
+            left = _SAFETY * further.last_step**2 / np.maximum(size[again], _TINY)
             left = np.maximum(self._error(further.last_step), left)
             error[again] = left + further.rounding
             size[again] = further.last_step
