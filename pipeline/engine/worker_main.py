@@ -93,13 +93,8 @@ class _Messages(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Send what is logged; an error is none of who logs."""
-        if (
-            record.levelno >= logging.WARNING
-        ):  # of the cache, which the parent gives too
-            return
-
         try:
-            self.send("said", record.getMessage())
+            self.send("said", record.getMessage().removeprefix("gaitsweep: "))
         except Exception:
             self.handleError(record)
 

@@ -20,7 +20,7 @@ from gaitsweep.tasks.branches.pseudo_arclength import Point
 from gaitsweep.tasks.charts.chart import Chart
 from gaitsweep.tasks.gaits.step_check import verify_steps
 from gaitsweep.tasks.mechanics.sums import total
-from gaitsweep.tasks.step.lanes import lanes_of
+from gaitsweep.tasks.step.lanes import lanes_of, replace_lanes
 from gaitsweep.tasks.step.problem import Lanes
 from gaitsweep.tasks.step.step_map import SAMPLES
 
@@ -30,9 +30,10 @@ _SAFETY = 8.0
 #: Distance from a prediction that is near, however well those drawn were predicted:
 #: what a step leaves is counted by its own length.
 _NEAR = 1e-6
-#: Error above which a further Newton step is taken, and most of these.
+#: Error above which a further Newton step is taken, the most of these, and how many show
+#: by how much they shrink.
 _GOAL = 1e-10
-_FURTHER = 3
+_FURTHER, _TO_BE_SURE = 3, 2
 _TINY = np.finfo(float).tiny
 #: Distance from an end at which its gaits must be steps.
 _INSIDE = 1e-3
@@ -197,8 +198,8 @@ class Manifold:
     def polish(
         self, problem: Lanes, Z: np.ndarray, rows: np.ndarray
     ) -> tuple[Points, np.ndarray]:
-        """Solve the points of designs that are `there`, by a Newton step from their
-        predictions.
+        """Solve the points of designs from their predictions, by a Newton step, or more
+        where one does not do.
 
         Parameters
         ----------
@@ -215,10 +216,10 @@ class Manifold:
         """
         condition = CONDITIONS[self.kind].equal_to(self.target)
         equations = Equations(problem, [condition])
-        step = newton_step(equations, Z, rows, 0 if condition.walking else SAMPLES)
+        step = newton_step(equations, Z, rows, _samples(condition))
         near = step.last_step <= max(_SAFETY * self.chart.error, _NEAR)
+        error = self._further(equations, step, rows, near, _samples(condition))
         walks = _walks(problem, condition, step, near)
-        error = self._further(equations, step, rows, near)
         points = classify(
             self.kind, step.at, np.arange(Z.shape[1]), step.Z, rows, error, walks
         )
@@ -235,29 +236,50 @@ class Manifold:
         step: Point,
         rows: np.ndarray,
         near: np.ndarray,
+        samples: int,
     ) -> np.ndarray:
         """Take further Newton steps, in place, at points that are near and err too much,
-        and return the errors of all, (n,).
+        or lie farther from their predictions than those at which errors were measured;
+        return the errors of all, (n,).
         """
-        error = self._error(step.last_step) + step.rounding
         size = step.last_step.copy()
-        for _ in range(_FURTHER):
-            again = np.flatnonzero(near & (error > _GOAL))
+        left = self._error(size)
+        rounding = step.rounding.copy()
+        shrinks = np.zeros(len(size))
+        is_far = size > _SAFETY * self.chart.error
+        for number in range(_FURTHER):
+            # One step may shrink by chance: the first goes mostly across the branch.
+            is_wanted = (left > _GOAL) | (is_far & (number < _TO_BE_SURE))
+            again = np.flatnonzero(near & is_wanted)
             if not len(again):
                 break
+
+            Z = step.Z[:, again]
             some = equations.some(again)
-            further = newton_step(some, step.Z[:, again], rows[:, again])
+            further = newton_step(some, Z, rows[:, again], samples)
             step.Z[:, again] = further.Z
-            # By how much steps shrink shows what the last one leaves.
-            left = _SAFETY * further.last_step**2 / np.maximum(size[again], _TINY)
-            left = np.maximum(self._error(further.last_step), left)
-            error[again] = left + further.rounding
-            size[again] = further.last_step
-        return error
+            replace_lanes(step.at, again, further.at)
+
+            # How slowly steps shrink shows what the last one leaves.
+            last = further.last_step
+            by = last / np.maximum(size[again], _TINY)
+            by = np.maximum(shrinks[again], by)
+            left[again] = np.maximum(self._error(last), _SAFETY * by * last)
+            rounding[again] = further.rounding
+            shrinks[again], size[again] = by, last
+
+        return left + rounding
 
     def _error(self, size: np.ndarray) -> np.ndarray:
         """Error after a Newton step of some size."""
         return np.asarray(_SAFETY * (self.linear * size + self.quadratic * size**2))
+
+
+def _samples(condition: Condition) -> int:
+    """Intervals of a motion that tell whether it is a step; none where the gaits before
+    it tell.
+    """
+    return 0 if condition.walking else SAMPLES
 
 
 def _walks(

@@ -26,8 +26,8 @@ _GOOD = 2e-7
 _GOOD_ENDS = 1e-9
 #: Largest error of the predictions of a useful manifold.
 _FAIR = 1e-4
-#: A chart that is not good costs its designs a second Newton step, at most; so many of
-#: these take as long as what follows from a node: charts of more nodes, and derivatives.
+#: A chart that is not good costs its designs further Newton steps. So many of these take
+#: as long as what follows from a node: charts of more nodes, and derivatives.
 _A_NODE = 20
 #: Displacements that show how Newton's method converges: where the error of the rows
 #: counts, and where the equations bend.

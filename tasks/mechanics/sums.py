@@ -33,7 +33,7 @@ def total(terms: Iterable[ndarray]) -> ndarray:
         Of that shape.
     """
     if isinstance(terms, ndarray) and terms[0].size <= _FEW:
-        return np.add.accumulate(terms, axis=0)[-1]
+        return np.add.accumulate(terms, axis=0, dtype=terms.dtype)[-1]
     return functools.reduce(operator.add, terms)
 
 
@@ -81,5 +81,6 @@ def matvec(A: ndarray, v: ndarray) -> ndarray:
     ndarray, shape (i, n), or (i, k, n)
     """
     if A[:, 0].size * v[0].size <= _FEW * A.shape[-1]:
-        return np.add.accumulate(A * v, axis=1)[:, -1].copy()
+        terms = A * v
+        return np.add.accumulate(terms, axis=1, dtype=terms.dtype)[:, -1].copy()
     return total(A[:, j] * v[j] for j in range(A.shape[1]))

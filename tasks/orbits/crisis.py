@@ -138,7 +138,9 @@ def _search(starts: ndarray, low: float, high: float) -> _Search:
     survives = yield others, np.array([last])
     if survives[0]:
         return found
-    return (yield from _bracketed(starts, low, last))
+    of_all = yield from _bracketed(starts, low, last)
+    # With the few, none is lost there if no other outlasts the transient.
+    return found if np.isnan(of_all[1]) else of_all
 
 
 def _bracketed(starts: ndarray, low: float, high: float) -> _Search:

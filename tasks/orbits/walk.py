@@ -33,7 +33,7 @@ class Walk:
     jacobian : ndarray, shape (m, m, k)
         Of the last step, of those that walk on; empty where it was not exact.
     closing : ndarray, shape (m + phases, phases, k)
-        As `SimulatedSteps` has it, the same.
+        As `SimulatedSteps` has it, of the last step of those that walk on.
     taken : ndarray of int, shape (n,)
         Steps that did not end in a fall.
     outcome : ndarray of int, shape (n,)

@@ -106,10 +106,8 @@ class Strides:
         missed = self._in_places(before, 1)
         guards = self._in_places(by[m:], 0)
 
-        columns = missed.shape[2:]
-        out = np.concatenate(
-            [missed.reshape(-1, *columns), guards.reshape(-1, *columns)]
-        )
+        parts = [missed, guards]
+        out = np.concatenate([_rows_of_steps(part) for part in parts])
         of_all = np.arange(len(self.y))
         out[of_all, of_all] -= 1.0
         return out
@@ -122,15 +120,16 @@ class Strides:
         """
         m = len(self.one.y)
         s = self.steps
-        n = rows.shape[-1]
-        of_sections = rows[:, : s * m].reshape(-1, s, m, n)
-        of_guards = rows[:, s * m :].reshape(len(rows), s, -1, n)
+        i, unknowns, n = rows.shape
+        k = unknowns // s - m
+        of_sections = rows[:, : s * m].reshape(i, s, m, n)
+        of_guards = rows[:, s * m :].reshape(i, s, k, n)
         after = np.roll(of_sections, -1, axis=1)
         of_step = np.concatenate([after, of_guards], axis=2)
 
         by = self._of_images_and_guards[:, :m]
         product = matvec(of_step.swapaxes(1, 2)[:, :, None], by)
-        return product.swapaxes(1, 2).reshape(-1, s * m, n)
+        return product.swapaxes(1, 2).reshape(i, s * m, n)
 
     @property
     def _of_images_and_guards(self) -> ndarray:
@@ -218,7 +217,13 @@ def _in_a_row(values: ndarray) -> ndarray:
     """Values (i, s, n) of every step, those of one after those of the step before: (s
     i, n).
     """
-    return values.swapaxes(0, 1).reshape(-1, values.shape[-1])
+    return _rows_of_steps(values.swapaxes(0, 1))
+
+
+def _rows_of_steps(values: ndarray) -> ndarray:
+    """Values (s, i, ...) of steps, one step after another: (s i, ...), also of no lanes."""
+    s, i, *others = values.shape
+    return values.reshape(s * i, *others)
 
 
 #: What bits of columns are multiplied by, before they are added up: an odd number.
@@ -430,9 +435,8 @@ def joined(
     ndarray, shape (m + k, n)
     """
     angle = y[0, 0]
-    n = y.shape[-1]
-    others = y.reshape(-1, n)[1:] / angle
-    times = np.cumsum(durations.reshape(-1, n), axis=0)
+    others = _rows_of_steps(y)[1:] / angle
+    times = np.cumsum(_rows_of_steps(durations), axis=0)
     return np.vstack([log_unit + np.log(angle), others, times])
 
 

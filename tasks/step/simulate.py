@@ -97,8 +97,8 @@ class SimulatedSteps:
     jacobian : ndarray, shape (m, m, n)
         NaN of falls; empty where the steps are not exact.
     closing : ndarray, shape (m + k, k, n)
-        How image [per rad] and times [sqrt(leg/g) per scaled angle] change with what the
-        guards of the strikes are off; the same.
+        How image and times [sqrt(leg/g)] change with what the guards of the strikes, which
+        are scaled angles, are off; NaN of falls, empty where the steps are not exact.
     """
 
     image: Sections
@@ -328,7 +328,7 @@ def _block_of(free: bool, x: States, h: float, most: int) -> int:
     g, rate = guard(free, x)
     if g.min() > 0 and rate.max() < 0:
         latest = -float((g / rate).min()) / h
-        count = min(count, 2 + int(latest))
+        count = int(min(count, 2 + latest))
     return max(1, count)
 
 
@@ -431,7 +431,7 @@ class _Way:
         self.time[lanes] = begin + within
 
     def _ground(self, lanes: Numbers) -> np.ndarray | None:
-        """What `crossing` takes of the ground."""
+        """What `crossings` takes of the ground."""
         if self.height is None:
             return None
         return np.array([self.parameters[1, lanes], self.height[lanes]])

@@ -81,7 +81,7 @@ class Stride:
         Kneestrike, for knees, and heelstrike, corrected.
     by_drive : ndarray, shape (m, n)
         Derivative of P(y) by the drive, the slope or what else drives the walker; zero
-        where not asked for.
+        where it is not asked for, but in compact code.
     residual : ndarray, shape (m + k, n)
         Of the joint equations: the image less y, at the given durations of the phases,
         and the guards of the strikes.

@@ -90,7 +90,7 @@ def _trouble(slope, kinds):
         name, _, place = kind.partition("@")
         if abs(slope - float(place)) < 1e-9:
             if name == "log":
-                logging.getLogger("gaitsweep").info("gaitsweep: Trouble is in sight.")
+                logging.getLogger("gaitsweep").info("Trouble is in sight.")
             if name == "raise":
                 raise RuntimeError(f"trouble at {slope:.3f}")
             if name == "exit":

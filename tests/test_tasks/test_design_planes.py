@@ -229,6 +229,30 @@ def test_points_are_near_whose_predictions_err_by_less_than_counts(made):
     assert_accepted_agree(out, other, still & accepted)
 
 
+@pytest.mark.parametrize("by", [1e-7, 5e-7])
+def test_what_lies_farther_off_than_was_measured_errs_by_less_than_its_bound(made, by):
+    """The rows, too, may err by more than those at which errors were measured."""
+    family, right = made("A")
+    dice = np.random.default_rng(3)
+    unit = dice.uniform(-1, 1, (200, 2))
+    problem = Maker(family, right.box, right.structure).problem(unit)
+
+    for manifold in right.manifolds:
+        lanes = np.flatnonzero(manifold.region.holds(unit))
+        some = problem.some(lanes)
+        Z, rows = manifold.predict(unit[lanes])
+        exact, _ = manifold.polish(some, Z, rows)
+        exact, _ = manifold.polish(some, exact.Z, rows)
+
+        off, turned = dice.normal(size=(2, *Z.shape))
+        wrong = Z + by * off / np.abs(off).max(axis=0)
+        found, near = manifold.polish(some, wrong, rows * (1 + 1e-3 * turned))
+
+        error = np.abs(found.Z - exact.Z).max(axis=0)
+        assert near.mean() > 0.9
+        assert (error <= found.error + exact.error)[near].all()
+
+
 @pytest.mark.parametrize("by", [1e-5, 1e-3])
 def test_newton_steps_are_taken_until_little_is_left(made, by):
     family, right = made("A")

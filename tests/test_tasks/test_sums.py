@@ -116,3 +116,17 @@ def test_equal_steps_are_evaluated_once(monkeypatch, dice, mixer):
     np.testing.assert_array_equal(columns[:, first[place]], columns)
     if mixer:
         assert first.tolist() == [0, 2, 3, 5, 6]
+
+
+@pytest.mark.parametrize("kind", [bool, np.int8, float, complex])
+def test_a_sum_has_the_type_of_its_terms_however_many_lanes_there_are(kind):
+    few, many = (total(np.ones((3, n), kind)) for n in (4, 300))
+
+    assert few.dtype == many.dtype == kind
+    assert (few == many[:4]).all()
+
+
+def test_gaits_of_several_steps_may_be_none():
+    y, durations = np.empty((4, 3, 0)), np.empty((4, 1, 0))
+
+    assert joined(np.empty(0), y, durations).shape == (16, 0)
