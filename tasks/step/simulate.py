@@ -518,6 +518,7 @@ def _correct(
         steps.outcome[lanes[~np.isfinite(at.image).all(axis=0)]] = LOST
 
 
+@np.errstate(divide="ignore", invalid="ignore")  # guards that close tangentially
 def _closing(derivative: np.ndarray, m: int, k: int) -> np.ndarray:
     """What `SimulatedSteps` has, from the derivatives of the joint equations by state,
     times and drive, (m + k, m + k + 1, n).
