@@ -70,7 +70,7 @@ TASKS = {
         Task(
             "points",
             "gaitsweep.tasks.studies.solve_points:points",
-            34,
+            35,
             needs=("atlas",),
         ),
         Task("targets", "gaitsweep.tasks.studies.solve_at_value:lines", 6),

@@ -790,13 +790,23 @@ def spans(branches: list[Branch], label: str) -> Iterator[tuple[float, float]]:
     for piece in pieces_of(branches):
         branch = piece.branch
         nodes = np.arange(piece.first, piece.last + 1)
-        has_label = ((branch.ratio < LONG_BELOW) == (label == "long")) & (
-            branch.leg_passes == 1
-        )
+        is_long = _ratios(branch) < LONG_BELOW
+        has_label = (is_long == (label == "long")) & (branch.leg_passes == 1)
         for run in np.split(nodes, np.nonzero(np.diff(has_label[nodes]))[0] + 1):
             if has_label[run[0]]:
                 slopes = np.exp(branch.q[run])
                 yield float(slopes.min()), float(slopes.max())
+
+
+def _ratios(branch: Branch) -> np.ndarray:
+    """Ratios of the nodes of a branch, (n,). Where it ends in a tangential heelstrike the
+    ratio is beyond all bounds, with a sign by rounding: the node beside it tells.
+    """
+    ratio = branch.ratio.copy()
+    for end, beside, why in zip((0, -1), (1, -2), branch.why, strict=True):
+        if why == "end_tangential_heelstrike" and len(ratio) > 1:
+            ratio[end] = ratio[beside]
+    return ratio
 
 
 def _may_hold(

@@ -5,6 +5,7 @@ slope.
 import copy
 import itertools
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from gaitsweep.tasks.measures.gaits import Part, nothing_solved, store
 from gaitsweep.tasks.orbits.initial_states import gaits_at
 from gaitsweep.tasks.studies import solve_at_slope
 from gaitsweep.tasks.studies.follow_branches import branch as follow
-from gaitsweep.tasks.studies.solve_points import atlas, points, solve_line
+from gaitsweep.tasks.studies.solve_points import atlas, points, solve_line, spans
 from gaitsweep.tasks.studies.trace_motion import trace
 from lines import WANT, _atlas, branches, gait, solved
 
@@ -378,3 +379,18 @@ def test_pieces_are_numbered_from_the_lower_end_whichever_way_a_branch_runs(sign
     assert len(branch.pieces()) > 1
     np.testing.assert_array_equal(branch.piece(segments), turned.piece(segments[::-1]))
     assert set(branch.piece(segments)) == set(range(len(branch.pieces())))
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_ratio_beyond_all_bounds_tells_no_label_by_its_sign(sign):
+    """Short gaits of the machine end where heelstrike is tangential; whether sentences
+    named that slope, or that of the node before, was decided by rounding.
+    """
+    (branch,) = (b for b in branches("physical")[1] if np.exp(b.q.min()) < 0.02)
+    end = branch.why.index("end_tangential_heelstrike")
+    ratio = branch.ratio.copy()
+    ratio[-end] = 9.0 * sign
+
+    found = spans([replace(branch, ratio=ratio)], "short")
+
+    assert np.exp(branch.q[-end]) in [high for _, high in found]
