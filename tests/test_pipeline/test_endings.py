@@ -140,8 +140,10 @@ def test_a_run_that_is_stopped_loses_the_jobs_in_flight(
     stored = sum(event.get("points", 0) for event in jobs_of_last_run(toy))
     toy("run", "toy.toml", *place, "--chunk", 10)
     again = sum(event.get("points", 0) for event in jobs_of_last_run(toy))
-    # What was recorded is not computed again; chunks of 20 points are the jobs.
-    assert toy.bytes() == whole and 400 <= stored + again <= 400 + 3 * 20
+    # What was recorded is not computed again; chunks of 20 points are the jobs. A kill may
+    # come between a record and its line in the log.
+    least = 400 - 20 * (signum == signal.SIGKILL)
+    assert toy.bytes() == whole and least <= stored + again <= 400 + 3 * 20
 
 
 def test_a_run_that_was_suspended_goes_on(toy, whole, place):
