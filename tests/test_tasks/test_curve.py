@@ -2,6 +2,7 @@
 re-pair.
 """
 
+import functools
 import itertools
 import re
 from types import SimpleNamespace
@@ -26,6 +27,7 @@ from gaitsweep.tasks.branches.equations import (
 )
 from gaitsweep.tasks.branches.joint import rounding_step
 from gaitsweep.tasks.branches.special_points import special_points
+from gaitsweep.tasks.step.step_map import Stride
 from gaitsweep.tasks.studies.follow_curves import _is_ordinary, curve
 from gaitsweep.tasks.studies.map_step import map_step
 from gaitsweep.tasks.walkers.resolve import from_catalogue, resolve
@@ -442,13 +444,12 @@ def test_the_step_that_rounding_makes_counts_every_row_and_direction():
         dice.uniform(0.1, 1.0, (m, n)),
         dice.normal(size=(size - 1, size - 1, n)),
     )
-    found = (
-        rounding_step(
-            matrix,
-            SimpleNamespace(m=m, stride=SimpleNamespace(y=y, derivative=derivative)),
-        )
-        / np.finfo(float).eps
-    )
+    stride = SimpleNamespace(y=y, derivative=derivative)
+    stride.carried = functools.partial(Stride.carried, stride)
+
+    size_of_step = rounding_step(matrix, SimpleNamespace(m=m, stride=stride))
+
+    found = size_of_step / np.finfo(float).eps
     for lane in range(n):
         share = y[:, lane] / y[0, lane]
         inverse = np.linalg.inv(matrix[lane])[[*range(m), -1]]
