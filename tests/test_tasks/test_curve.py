@@ -436,30 +436,33 @@ def test_periods_along_a_curve_are_in_the_walkers_time():
     assert np.ptp(found["curves/value"]) > 8 and np.ptp(tempo) < 1e-9
 
 
+def rounding_of(matrix, y, derivative):
+    """Largest error that rounding makes in one lane, in units of the last digit."""
+    m, size = len(y), len(matrix)
+    share = y / y[0]
+    inverse = np.linalg.inv(matrix)[[*range(m), -1]]
+
+    error = np.abs(inverse) @ np.r_[share, np.ones(size - m)]
+    for k in range(m):
+        carried = derivative[:, k] + np.eye(size - 1)[k]
+        error += np.abs(inverse[:, :-1] @ carried) * share[k]
+    return 6 * error.max()
+
+
 def test_the_step_that_rounding_makes_counts_every_row_and_direction():
     dice = np.random.default_rng(3)
     m, n, size = 3, 4, 6
     matrix = dice.normal(size=(n, size, size))
-    y, derivative = (
-        dice.uniform(0.1, 1.0, (m, n)),
-        dice.normal(size=(size - 1, size - 1, n)),
-    )
+    y = dice.uniform(0.1, 1.0, (m, n))
+    derivative = dice.normal(size=(size - 1, size - 1, n))
     stride = SimpleNamespace(y=y, derivative=derivative)
     stride.carried = functools.partial(Stride.carried, stride)
 
-    size_of_step = rounding_step(matrix, SimpleNamespace(m=m, stride=stride))
+    found = rounding_step(matrix, SimpleNamespace(m=m, stride=stride))
 
-    found = size_of_step / np.finfo(float).eps
     for lane in range(n):
-        share = y[:, lane] / y[0, lane]
-        inverse = np.linalg.inv(matrix[lane])[[*range(m), -1]]
-        error = np.abs(inverse) @ np.r_[share, np.ones(size - m)]
-        for k in range(m):
-            error += (
-                np.abs(inverse[:, :-1] @ (derivative[:, k, lane] + np.eye(size - 1)[k]))
-                * share[k]
-            )
-        assert found[lane] == pytest.approx(6 * error.max(), rel=1e-9)
+        error = rounding_of(matrix[lane], y[:, lane], derivative[..., lane])
+        assert found[lane] / np.finfo(float).eps == pytest.approx(error, rel=1e-9)
 
 
 class Plane(Equations):
