@@ -144,6 +144,7 @@ class _Shown(logging.Handler):
 
 @contextlib.contextmanager
 def _showing_what_is_logged() -> Iterator[None]:
+    """Show what is logged while a command runs, and leave the log as it was."""
     logger, shown = logging.getLogger("gaitsweep"), _Shown()
     level = logger.level
     logger.setLevel(logging.INFO)

@@ -146,8 +146,6 @@ class Head:
             Line by line.
         """
         extent = _extent(name, self.shape, self.multipliers, self.keys)
-        points = math.prod(self.shape.sizes)
-        more = extent[len(self.shape.extent) :]
         dtype = dtype_of(name)
 
         columns: list[ndarray] = []
@@ -159,7 +157,8 @@ class Head:
         if columns:
             return np.stack(columns, axis=1)
 
-        return np.empty((points, 0, *more), dtype)
+        more = extent[len(self.shape.extent) :]
+        return np.empty((math.prod(self.shape.sizes), 0, *more), dtype)
 
 
 @dataclass(frozen=True)

@@ -380,9 +380,10 @@ def flow(
     key = structure, directions, with_slope, coarse, dissipates, compact
     if key not in FLOWS:
         prepare_compiler(structure)
-        # Who follows branches needs both flows: two workers compile one each.
+        # Who follows branches needs both flows of full code: two workers compile one
+        # each.
         other = (structure, directions + 1, True)
-        is_single = with_slope or coarse or dissipates
+        is_single = compact or with_slope or coarse or dissipates
         with (
             _waiting.telling(_listener()),
             compile_cache.turn(
