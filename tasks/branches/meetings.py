@@ -392,7 +392,7 @@ def meetings(
 
 def _is_undefined(one: str, other: str) -> bool:
     """Whether the scalar of one of two kinds has no value at points of the other."""
-    return other in kind_of(one).undefined or one in kind_of(other).undefined
+    return not (kind_of(one).defines(other) and kind_of(other).defines(one))
 
 
 class _Cubics:

@@ -91,6 +91,10 @@ class Kind:
         """Whether only stable gaits may have an extreme there."""
         return all("stable" in quantity for quantity in self.extremes)
 
+    def defines(self, name: str) -> bool:
+        """Whether the condition of the kind `name` has a value there."""
+        return name not in self.undefined
+
 
 def _read() -> dict[str, Kind]:
     text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")

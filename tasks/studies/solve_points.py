@@ -19,6 +19,7 @@ from gaitsweep.tasks.branches.settling import settle_on_branches
 from gaitsweep.tasks.branches.tracking import MAX_MULTIPLIER
 from gaitsweep.tasks.charts.pieces import Piece, pieces_of
 from gaitsweep.tasks.contract import status
+from gaitsweep.tasks.contract.kinds import kind_of
 from gaitsweep.tasks.contract.registry import GAITS, PROVED, VARIABLES
 from gaitsweep.tasks.gaits.polish import Guesses
 from gaitsweep.tasks.gaits.step_check import LONG_BELOW
@@ -799,12 +800,12 @@ def spans(branches: list[Branch], label: str) -> Iterator[tuple[float, float]]:
 
 
 def _ratios(branch: Branch) -> np.ndarray:
-    """Ratios of the nodes of a branch, (n,). Where it ends in a tangential heelstrike the
-    ratio is beyond all bounds, with a sign by rounding: the node beside it tells.
+    """Ratios of the nodes of a branch, (n,): at an end where labels have no meaning, that
+    of the node beside it.
     """
     ratio = branch.ratio.copy()
     for end, beside, why in zip((0, -1), (1, -2), branch.why, strict=True):
-        if why == "end_tangential_heelstrike" and len(ratio) > 1:
+        if not kind_of(why).defines("label") and len(ratio) > 1:
             ratio[end] = ratio[beside]
     return ratio
 

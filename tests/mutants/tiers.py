@@ -20,6 +20,7 @@ from recording import ROOT, STATE, Reach, record
 #: another may notice what they do not.
 WORTH = (1.0, 0.5, 0.25, 0.125)
 QUICK = 0.1  # tests that take less are kept [s]
+READING = 1.0  # those that reach no line, since they read the code, may take more [s]
 DEAR = 60.0  # tests that take more are left to `make check`, whatever names them [s]
 #: What the pages of capabilities and promises name: tests, and files of tests.
 NAMED = re.compile(r"tests/[\w/]+\.py(?:::\w+)?")
@@ -66,7 +67,12 @@ def choose(lines: dict[str, Lines], took: dict[str, float], seconds: float) -> s
     """Keep quick and named tests, then others by what their lines are worth per second,
     while there is time.
     """
-    kept = {test for test, cost in took.items() if cost < QUICK} | named(took)
+    quick = {
+        test
+        for test, cost in took.items()
+        if cost < (QUICK if lines[test] else READING)
+    }
+    kept = quick | named(took)
     seen = Counter(line for test in kept for line in lines[test])
     left = seconds - sum(took[test] for test in kept)
 
