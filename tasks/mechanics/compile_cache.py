@@ -1,13 +1,10 @@
-"""heyoka's compile cache: its folders, whose they are, and whether their machine code is
-as it was written.
+"""The compile cache: compiled objects, kept in files between processes.
 
-heyoka reads the whole cache that it opens, and executes what it finds there; it has no
-checksums of it. So each structure has a folder of its own, and another for compact
-code: who asks about one walker reads and checks what was compiled for such walkers
-alone. A folder or file that another
-user may change is not used. Damage crashes a process or changes numbers: beside each
-cache, a file keeps the checksum of every entry as it was first seen; a cache with another
-entry than that, or one that cannot be read, is removed and fills again.
+A file holds one object, as heyoka pickles it with its machine code, and a checksum. Its
+name follows from what was compiled, the source of the equations, heyoka's library and
+the processor, so that what changes with any of them has another. Damaged files, and
+those that another user may change, are as none; a folder that others may change is not
+used.
 """
 
 from __future__ import annotations
@@ -19,61 +16,165 @@ import grp
 import hashlib
 import logging
 import os
+import pickle
 import pwd
-import sqlite3
 import stat
+import sys
+import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any, TypeVar
 
-_LIMIT = 256 << 20  # size of all folders together [byte]
-_TIMEOUT = 30.0  # wait for other writing processes [s]
+_LIMIT = 256 << 20  # size of all files together [byte]
 _PATIENCE = 120.0  # longest wait for code that another process compiles [s]
-_CACHE, _SUMS, _LOCKS = "cache.db", "checksums.db", "locks"
-_ENTRIES = "SELECT hash, env_fingerprint, comp_flag, bitcode, obj FROM cache"
-#: SQLite errors that mean damage; others, such as a folder that cannot be written, are
-#: not the cache's fault.
-_DAMAGES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
+_SUFFIX, _LOCKS = ".compiled", "locks"
+#: Folders of the modules that write down equations.
+_EQUATIONS = (Path(__file__).parent, Path(__file__).parents[1] / "step")
+#: What tells processors apart whose code differs.
+_PROCESSOR = ("vendor_id", "cpu family", "model", "flags", "CPU part", "Features")
+_SUM = 16  # size of a checksum [byte]
 #: The open file whose bytes stand for what is compiled, a lock on each; none where no
 #: cache is used.
 _locks: list[int] = []
-#: Folders whose entries this process has found to be as they were written.
-_checked: set[Path] = set()
+Compiled = TypeVar("Compiled")
 
 
-def use(name: str) -> None:
-    """Keep what is compiled from now on in this user's folder of that name; where it
-    cannot be used, every process compiles its own.
+def kept(
+    make: Callable[..., Compiled],
+    *given: Any,
+    variant: str = "",
+    meanwhile: Callable[[], object] = lambda: None,
+) -> Compiled:
+    """Return what a function compiles: loaded, if it was compiled before, or made and
+    kept.
 
     Parameters
     ----------
-    name : str
-        What is compiled, in any words: equal names have one folder.
+    make : callable
+        Its results depend on nothing but its source, that of the equations, and what
+        follows.
+    given
+        Its arguments, whose representations tell them apart.
+    variant : str
+        What else it depends on.
+    meanwhile : callable
+        Called once if another process compiles the same, before waiting for it.
     """
-    import heyoka as hy  # here: a run asks for the folder without the solver
-
-    cache = hy.llvm_state
-    hy.set_logger_level_error()  # a warning says that an entry could not be kept
-    cache.set_diskcache_enabled(False)
-    folder = _folder_of(name)
+    folder = usable_folder()
     if folder is None:
+        return make(*given)
+
+    name = f"{make.__module__}.{make.__qualname__} {given!r} {variant}"
+    source = sys.modules[make.__module__].__file__
+    try:
+        origin = _origin(Path(str(source)))
+    except OSError:  # nobody knows whether the code would be the same
+        return make(*given)
+
+    file = folder / f"{_checksum(origin + name.encode()).hex()}{_SUFFIX}"
+    found = _read(file)
+    if found is None:
+        _open_locks(folder)
+        with turn(file.name, meanwhile):
+            found = _read(file)
+            if found is None:
+                found = make(*given)
+                _write(file, found)
+                _make_room(file)
+
+    return found
+
+
+@functools.cache
+def _origin(source: Path) -> bytes:
+    """What code depends on besides its arguments: the text of a module and of those
+    with the equations, heyoka's library, and the processor.
+    """
+    import heyoka  # here: a run asks for the folder without the solver
+
+    texts = [source.read_bytes()]
+    for folder in _EQUATIONS:
+        texts += [file.read_bytes() for file in sorted(folder.glob("*.py"))]
+
+    library = Path(heyoka._core.__file__).stat()
+    version = heyoka.__version__, library.st_size, library.st_mtime_ns
+    texts.append(repr((version, _processor())).encode())
+    return _checksum(b"\0".join(texts))
+
+
+def _processor() -> list[str]:
+    """What the first processor says of its kind."""
+    lines = []
+    with open("/proc/cpuinfo", encoding="utf-8") as file:
+        for line in file:
+            if not line.strip():
+                break
+            if line.startswith(_PROCESSOR):
+                lines.append(line)
+    return lines
+
+
+def _checksum(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=_SUM).digest()
+
+
+def _read(file: Path) -> Any:
+    """The object of a file; None if there is none, it is damaged, or others may change
+    it.
+    """
+    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+    try:
+        with open(os.open(file, flags), "rb") as opened:
+            status = os.fstat(opened.fileno())
+            if is_shared(status) or not stat.S_ISREG(status.st_mode):
+                return None
+            data = opened.read()
+        if data[:_SUM] != _checksum(data[_SUM:]):
+            return None
+        found = pickle.loads(memoryview(data)[_SUM:])
+    except Exception:  # heyoka may refuse what it has written in any way
+        return None
+
+    with contextlib.suppress(OSError):
+        os.utime(file)  # for `_make_room`
+    return found
+
+
+def _write(file: Path, compiled: object) -> None:
+    """Keep an object in a file, whole or not at all."""
+    data = pickle.dumps(compiled)
+    writer = f"{os.getpid()}.{threading.get_ident()}"
+    draft = file.with_name(f"{file.stem}.{writer}{_SUFFIX}")
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+    with contextlib.suppress(OSError):
+        with open(os.open(draft, flags, 0o600), "wb") as opened:
+            opened.write(_checksum(data) + data)
+        draft.replace(file)
         return
 
-    try:
-        _open_locks(folder.parent)
-        _make_room(folder)
-        # A cache that another process is just making has no tables yet, which would
-        # count as damage.
-        with turn(folder.name):
-            if not _may_be_used(folder):
-                return
-            cache.set_diskcache_path(str(folder))
-            cache.set_diskcache_limit(_LIMIT)
-            cache.set_diskcache_enabled(True)
-            cache.get_diskcache_size()  # opens it
-    except (OSError, RuntimeError):
-        cache.set_diskcache_enabled(False)
+    with contextlib.suppress(OSError):
+        draft.unlink(missing_ok=True)
+
+
+def _make_room(wanted: Path) -> None:
+    """Remove files that were used longest ago where all together are too large, but not
+    the one that is wanted.
+    """
+    used = []
+    for file in wanted.parent.glob(f"*{_SUFFIX}"):
+        with contextlib.suppress(OSError):
+            status = file.lstat()
+            if stat.S_ISREG(status.st_mode):
+                used.append((file == wanted, status.st_mtime, status.st_size, file))
+
+    total = 0
+    for is_wanted, _, size, file in sorted(used, reverse=True):
+        total += size
+        if total > _LIMIT and not is_wanted:
+            with contextlib.suppress(OSError):
+                file.unlink(missing_ok=True)
 
 
 def _open_locks(folder: Path) -> None:
@@ -83,48 +184,6 @@ def _open_locks(folder: Path) -> None:
     with contextlib.suppress(OSError):
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC
         _locks.append(os.open(folder / _LOCKS, flags, 0o600))
-
-
-def _may_be_used(folder: Path) -> bool:
-    """Whether a folder's entries are as they were written, which is looked at once a
-    process; damaged ones are removed. Another program's database is left alone.
-    """
-    if folder in _checked:
-        return True
-    if not _is_intact(folder):
-        if not _is_ours(folder):
-            return False
-        _remove(folder)
-
-    _checked.add(folder)
-    return True
-
-
-@functools.cache
-def _make_room(wanted: Path) -> None:
-    """Remove folders that were used longest ago where all together are too large, but
-    not the one that is wanted, nor what is another program's.
-    """
-    used = []
-    for folder in wanted.parent.iterdir():
-        with contextlib.suppress(OSError):
-            if folder.is_symlink() or not _is_ours(folder):
-                continue
-            files = [file.stat() for file in _files(folder) if file.exists()]
-            newest = max(status.st_mtime for status in files)
-            size = sum(status.st_size for status in files)
-            used.append((folder == wanted, newest, size, folder))
-
-    total = 0
-    for is_wanted, _, size, folder in sorted(used, reverse=True):
-        total += size
-        if total > _LIMIT and not is_wanted:
-            _remove(folder)
-
-
-def _is_ours(folder: Path) -> bool:
-    """Whether a folder holds a cache that has checksums, as all of this program have."""
-    return all((folder / name).is_file() for name in (_CACHE, _SUMS))
 
 
 @contextlib.contextmanager
@@ -162,23 +221,8 @@ def usable_folder() -> Path | None:
 
     The latter is said once in a process.
     """
-    return _usable(cache_folder())
-
-
-def _folder_of(name: str) -> Path | None:
-    """Folder in which what is compiled under a name is kept; None if it cannot be used."""
-    cache = usable_folder()
-    if cache is None:
-        return None
-    return _usable(cache / hashlib.sha256(name.encode()).hexdigest()[:16])
-
-
-def _usable(folder: Path) -> Path | None:
-    """A folder, made if there is none, unless it cannot be made or others may change it,
-    which is said.
-    """
     try:
-        folder = folder.resolve()  # without links, which others could change
+        folder = cache_folder().resolve()  # without links, which others could change
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         shared = next(_shared(folder), None)
     except (OSError, RuntimeError):
@@ -192,9 +236,9 @@ def _usable(folder: Path) -> Path | None:
 
 @functools.cache
 def _say_not_used(folder: Path, shared: Path) -> None:
-    """Say once in a process that a folder is not used since others may change a part."""
+    """Say once in a process that a folder is not used since others may change it."""
     logging.getLogger("gaitsweep").warning(
-        "gaitsweep: The compile cache in %s is not used: %s is no plain file or folder that only you may change.",
+        "gaitsweep: The compile cache in %s is not used: %s is no folder that only you may change.",
         folder,
         shared,
     )
@@ -218,15 +262,7 @@ def cache_folder() -> Path:
 
 
 def _shared(folder: Path) -> Iterator[Path]:
-    """What another user may change of a cache: its files, its folder, and the folders
-    above it.
-    """
-    for file in _files(folder):
-        with contextlib.suppress(FileNotFoundError):
-            status = file.lstat()
-            if is_shared(status) or not stat.S_ISREG(status.st_mode):
-                yield file
-
+    """Folders of a cache that another user may change: it, and those above."""
     for place in (folder, *folder.parents):
         status = place.lstat()
         # In a sticky folder, such as `/tmp`, only the owner of an entry may replace it.
@@ -259,56 +295,3 @@ def is_shared(status: os.stat_result, allowed: int = 0) -> bool:
     return status.st_uid not in (0, os.geteuid()) or bool(
         mode & (stat.S_IWGRP | stat.S_IWOTH)
     )
-
-
-def _is_intact(folder: Path) -> bool:
-    """Whether every entry is as it was first seen; new ones are noted."""
-    entries: dict[str, int] = {}
-    try:
-        if (folder / _CACHE).exists():
-            with contextlib.closing(
-                sqlite3.connect(folder / _CACHE, timeout=_TIMEOUT)
-            ) as cache:
-                if cache.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
-                    return False
-                entries = {
-                    f"{number} {zlib.crc32(bitcode)} {flags} {environment}": zlib.crc32(
-                        code
-                    )
-                    for number, environment, flags, bitcode, code in cache.execute(
-                        _ENTRIES
-                    )
-                }
-
-        with contextlib.closing(
-            sqlite3.connect(folder / _SUMS, timeout=_TIMEOUT)
-        ) as db:
-            db.execute(
-                "CREATE TABLE IF NOT EXISTS sums (entry TEXT PRIMARY KEY, sum INTEGER)"
-            )
-            known = dict(db.execute("SELECT entry, sum FROM sums"))
-            new = entries.keys() - known.keys()
-            if new:
-                db.executemany(
-                    "INSERT OR IGNORE INTO sums VALUES (?, ?)",
-                    ((entry, entries[entry]) for entry in new),
-                )
-                db.commit()
-
-        return all(known.get(entry, code) == code for entry, code in entries.items())
-    except TypeError:
-        return False  # a value of another type
-    except sqlite3.Error as error:
-        return getattr(error, "sqlite_errorcode", 0) & 0xFF not in _DAMAGES
-
-
-def _files(folder: Path) -> Iterator[Path]:
-    for name in (_CACHE, _SUMS):
-        for suffix in ("", "-wal", "-shm", "-journal"):
-            yield folder / f"{name}{suffix}"
-
-
-def _remove(folder: Path) -> None:
-    for file in _files(folder):
-        with contextlib.suppress(OSError):
-            file.unlink(missing_ok=True)

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, TypeVar
 
 import heyoka as hy
 import numpy as np
@@ -20,6 +20,8 @@ import numpy as np
 from gaitsweep.tasks.mechanics import compile_cache
 from gaitsweep.tasks.mechanics.equations import system
 from gaitsweep.tasks.mechanics.lumped import Structure
+
+Compiled = TypeVar("Compiled")
 
 #: Taylor steps a flow may take before it counts as lost; a step of a gait takes 5 to
 #: 40.
@@ -152,18 +154,28 @@ def _listener() -> Callable[[str], object] | None:
     return _teller.get() or (logger.info if is_logged else None)
 
 
-def prepare_compiler(structure: Structure) -> None:
-    """Set heyoka's threads, and the compile cache of a structure; every factory of
-    compiled code calls it first.
+def compiled(
+    make: Callable[..., Compiled],
+    *given: Any,
+    meanwhile: Callable[[], object] = lambda: None,
+) -> Compiled:
+    """Return what a function compiles of its arguments, which is kept on disk between
+    processes; all code that heyoka compiles comes this way.
 
-    Compact code has a cache of its own: a question of few points would spend a fifth of
-    its time on reading and checking the code of grids.
+    Parameters
+    ----------
+    make : callable
+        Depends on nothing but its arguments, and its result can be pickled.
+    given
+        Its arguments.
+    meanwhile : callable
+        Called once if another process compiles the same, before waiting for it.
     """
-    name = repr(structure)
-    if is_compact():
-        name = f"compact {name}"
-    compile_cache.use(name)
     hy.set_nthreads(1)
+    hy.llvm_state.set_diskcache_enabled(False)  # which has no checksums
+    lanes = f"{LANES} lanes"
+    with _waiting.telling(_listener()):
+        return compile_cache.kept(make, *given, variant=lanes, meanwhile=meanwhile)
 
 
 def whole_groups(values: np.ndarray, lanes: int) -> np.ndarray:
@@ -236,27 +248,24 @@ class Flow:
         coarse: bool,
         dissipates: bool = False,
         compact: bool = False,
+        meanwhile: Callable[[], object] = lambda: None,
     ):
-        motion = system(structure, structure.kneed, directions, with_slope, dissipates)
         #: What comes after these among a walker's parameters only the strikes need.
         self._used = len(structure.parameters)
-        self.size, self.angles = len(motion.equations), (6 if structure.kneed else 4)
+        self.angles = 6 if structure.kneed else 4
         # Without a foot mass the links do not couple: with so few terms a group of two
         # narrow registers is faster.
         self.lanes = max(LANES, 8) if ("eps", 0.0) in structure.units else LANES
         self.evaluations = self.idle = 0
         self.seconds = 0.0
-        exact = _INTEGRAL if dissipates else _FINE
-        self._ta = hy.taylor_adaptive_batch(
-            motion.equations,
-            state=np.zeros((self.size, self.lanes)),
-            tol=_COARSE if coarse else exact,
-            **(COMPACT if compact else {}),
+
+        options = directions, with_slope, coarse, dissipates, compact
+        self._ta, self._parameters = compiled(
+            _compiled_flow, structure, self.lanes, *options, meanwhile=meanwhile
         )
-        self._parameters = motion.parameters(batch_size=LANES)
         # Views of the integrator's own memory.
-        ta: Any = self._ta
-        self._state, self._pars, self._time = ta.state, ta.pars, ta.time
+        self._state, self._pars = self._ta.state, self._ta.pars
+        self._time = self._ta.time
 
     def __call__(
         self,
@@ -337,12 +346,14 @@ class Flow:
         """Integrate a group by heyoka over its whole duration, or to fractions of it;
         the states there.
         """
-        ta: Any = self._ta
-        ta.set_time(0.0)
+        self._ta.set_time(0.0)
         if not len(fractions):
-            ta.propagate_until(duration, max_steps=_MAX_STEPS)
+            self._ta.propagate_until(duration, max_steps=_MAX_STEPS)
             return np.empty((0, *self._state.shape))
-        return ta.propagate_grid(fractions * duration, max_steps=_MAX_STEPS)[1]
+
+        times = fractions * duration
+        motion: np.ndarray = self._ta.propagate_grid(times, max_steps=_MAX_STEPS)[1]
+        return motion
 
 
 #: Every flow compiled by this process, by its structure and options; their counters
@@ -379,21 +390,37 @@ def flow(
     structure = structure.between_strikes()
     key = structure, directions, with_slope, coarse, dissipates, compact
     if key not in FLOWS:
-        prepare_compiler(structure)
         # Who follows branches needs both flows of full code: two workers compile one
         # each.
         other = (structure, directions + 1, True)
         is_single = compact or with_slope or coarse or dissipates
-        with (
-            _waiting.telling(_listener()),
-            compile_cache.turn(
-                repr(key),
-                (lambda: None) if is_single else (lambda: flow(*other)),
-            ),
-        ):
-            FLOWS[key] = Flow(*key)
+        meanwhile = (lambda: None) if is_single else (lambda: flow(*other))
+        FLOWS[key] = Flow(*key, meanwhile)
 
     return FLOWS[key]
+
+
+def _compiled_flow(
+    structure: Structure,
+    lanes: int,
+    directions: int,
+    with_slope: bool,
+    coarse: bool,
+    dissipates: bool,
+    compact: bool,
+) -> tuple[Any, Any]:
+    """Compile a flow's integrator, and the function from a walker's parameters to its
+    own.
+    """
+    motion = system(structure, structure.kneed, directions, with_slope, dissipates)
+    exact = _INTEGRAL if dissipates else _FINE
+    integrator = hy.taylor_adaptive_batch(
+        motion.equations,
+        state=np.zeros((len(motion.equations), lanes)),
+        tol=_COARSE if coarse else exact,
+        **(COMPACT if compact else {}),
+    )
+    return integrator, motion.parameters(batch_size=LANES)
 
 
 class CompiledFunction:

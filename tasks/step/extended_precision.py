@@ -16,7 +16,7 @@ import numpy as np
 
 from gaitsweep.tasks.mechanics.arrays import Numbers
 from gaitsweep.tasks.mechanics.equations import Symbols, system
-from gaitsweep.tasks.mechanics.kernel import prepare_compiler
+from gaitsweep.tasks.mechanics.kernel import compiled
 from gaitsweep.tasks.mechanics.lumped import Structure, lump
 from gaitsweep.tasks.mechanics.sums import matvec
 from gaitsweep.tasks.step.iterate import Ended, iterate
@@ -245,8 +245,7 @@ def _doubles(values: np.ndarray) -> np.ndarray:
 
 @functools.lru_cache(maxsize=16)
 def _extended_step_map(structure: Structure, tier: int) -> _ExtendedStepMap:
-    prepare_compiler(structure)
-    return _ExtendedStepMap(structure, *TIERS[tier])
+    return compiled(_ExtendedStepMap, structure, *TIERS[tier])
 
 
 class Start(NamedTuple):

@@ -33,7 +33,7 @@ from gaitsweep.tasks.mechanics.impacts import release
 from gaitsweep.tasks.mechanics.kernel import (
     LANES,
     CompiledFunction,
-    prepare_compiler,
+    compiled,
     whole_groups,
 )
 from gaitsweep.tasks.mechanics.lumped import Structure
@@ -118,9 +118,10 @@ class Scanner:
         self._step = {free: self._compile_step(free) for free in structure.phases[::-1]}
         self._lock = self._strike = None
         if structure.kneed:
-            self._lock = self._compile(6, lock_knee)
+            self._lock = _compile(structure, 6, lock_knee)
         else:
-            self._strike = self._compile(4, functools.partial(end_of_step, structure))
+            strike = functools.partial(end_of_step, structure)
+            self._strike = _compile(structure, 4, strike)
 
     def _compile_step(self, free: bool) -> CompiledFunction:
         p = Symbols(self.structure)
@@ -136,22 +137,12 @@ class Scanner:
 
         return CompiledFunction(stage, [*x, h, *p.variables])
 
-    def _compile(
-        self, size: int, outputs: Callable[[Symbols, list[Sym]], list[Sym]]
-    ) -> CompiledFunction:
-        """Compile a function of a state and the parameters."""
-        p, x = Symbols(self.structure), vector("x", size)
-        return CompiledFunction(outputs(p, x), [*x, *p.variables])
-
     @functools.cached_property
     def _rates_on_uneven_ground(self) -> CompiledFunction:
         """Rates after a heelstrike from two links' state and the parameters, at any two
         angles of the legs.
         """
-        prepare_compiler(self.structure)
-        return self._compile(
-            4, lambda p, x: release(self.structure, p, x[1], x[2], x[3], old_angle=x[0])
-        )
+        return compiled(_release_on_uneven_ground, self.structure)
 
     @staticmethod
     def _call(function: CompiledFunction, *inputs: np.ndarray) -> np.ndarray:
@@ -454,11 +445,29 @@ def _steps_before_wild(X: np.ndarray, h: float, scale: PerLane) -> int:
     return len(X) if is_tame.all() else int(is_tame.argmin())
 
 
+def _compile(
+    structure: Structure,
+    size: int,
+    outputs: Callable[[Symbols, list[Sym]], list[Sym]],
+) -> CompiledFunction:
+    """Compile a function of a state and the parameters."""
+    p, x = Symbols(structure), vector("x", size)
+    return CompiledFunction(outputs(p, x), [*x, *p.variables])
+
+
+def _release_on_uneven_ground(structure: Structure) -> CompiledFunction:
+    """Compile what `Scanner._rates_on_uneven_ground` is."""
+    return _compile(
+        structure,
+        4,
+        lambda p, x: release(structure, p, x[1], x[2], x[3], old_angle=x[0]),
+    )
+
+
 @functools.lru_cache(maxsize=16)
 def scanner(structure: Structure) -> Scanner:
     """Return the compiled scanner of a structure, one a process."""
-    prepare_compiler(structure)
-    return Scanner(structure)
+    return compiled(Scanner, structure)
 
 
 def stride(

@@ -36,9 +36,9 @@ from gaitsweep.tasks.mechanics.equations import ZERO, Sym, Symbols
 from gaitsweep.tasks.mechanics.kernel import (
     LANES,
     CompiledFunction,
+    compiled,
     flow,
     is_compact,
-    prepare_compiler,
     whole_groups,
 )
 from gaitsweep.tasks.mechanics.lumped import Structure, locked
@@ -223,14 +223,7 @@ class StrideMap:
         rates just before heelstrike, without derivatives; it has the guard of
         kneestrike.
         """
-        prepare_compiler(self.structure)
-        p, y, x = Symbols(self.structure), vector("y", self.m), vector("x", 4)
-        guards = [hy.make_vars("guard")] if self.kneed else []
-        section = end_of_step(self.structure, p, x)
-        missed = [a - b for a, b in zip(section, y, strict=True)]
-        outputs = [*missed, *guards, x[0] + x[1], *x[2:]]
-
-        return self._function(outputs, [*y, *x, *guards, *p.variables])
+        return compiled(_end_without_derivatives, self.structure)
 
     @property
     def by_push(self) -> bool:
@@ -786,9 +779,18 @@ def _values_then_derivatives(at_strikes: list[list[Sym]]) -> list[Sym]:
     return [row[0] for row in at_strikes] + flat([row[1:-1] for row in at_strikes])
 
 
+def _end_without_derivatives(structure: Structure) -> CompiledFunction:
+    """Compile what `StrideMap._end` is."""
+    p, y, x = Symbols(structure), vector("y", structure.dimension), vector("x", 4)
+    guards = [hy.make_vars("guard")] if structure.kneed else []
+    section = end_of_step(structure, p, x)
+    missed = [a - b for a, b in zip(section, y, strict=True)]
+    outputs = [*missed, *guards, x[0] + x[1], *x[2:]]
+
+    return CompiledFunction(outputs, [*y, *x, *guards, *p.variables])
+
+
 @functools.lru_cache(maxsize=64)
 def stride_map(structure: Structure) -> StrideMap:
     """Return the compiled step map of a structure, one a process."""
-    prepare_compiler(structure)
-
-    return StrideMap(structure)
+    return compiled(StrideMap, structure)

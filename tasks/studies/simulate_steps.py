@@ -18,7 +18,7 @@ import heyoka as hy
 import numpy as np
 
 from gaitsweep.tasks.mechanics.equations import system
-from gaitsweep.tasks.mechanics.kernel import COMPACT, prepare_compiler
+from gaitsweep.tasks.mechanics.kernel import COMPACT, compiled
 from gaitsweep.tasks.mechanics.lumped import Structure, general_structure_of
 from gaitsweep.tasks.step.problem import Lanes, Problem, scale_of
 from gaitsweep.tasks.step.simulate import (
@@ -468,7 +468,6 @@ class _Phase:
     """
 
     def __init__(self, structure: Structure, free: bool):
-        prepare_compiler(structure)
         flow = system(structure, free, 0, False)
         self.links, self.parameters = 3 if free else 2, flow.parameters()
         q = hy.make_vars(*(f"q{i}" for i in range(self.links)))
@@ -587,4 +586,4 @@ def _is_no_heelstrike(taylor: Any, sign: int) -> bool:
 @functools.lru_cache(maxsize=16)
 def _phase(structure: Structure, free: bool) -> _Phase:
     """The compiled motion of a phase, one a process."""
-    return _Phase(structure, free)
+    return compiled(_Phase, structure, free)

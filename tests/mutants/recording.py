@@ -14,7 +14,6 @@ import os
 import re
 import resource
 import shutil
-import sqlite3
 import subprocess
 import sys
 from collections import Counter, defaultdict
@@ -73,11 +72,9 @@ def lend_cache() -> None:
 
     lent = STATE / "cache"
     shutil.rmtree(lent, ignore_errors=True)
-    for source in cache_folder().glob("*/cache.db"):
-        copy = lent / source.parent.name / "cache.db"
-        copy.parent.mkdir(parents=True)
-        with sqlite3.connect(source) as old, sqlite3.connect(copy) as new:
-            old.backup(new)
+    lent.mkdir(mode=0o700, parents=True)
+    for source in cache_folder().glob("*.compiled"):
+        shutil.copy2(source, lent)
 
 
 def record() -> list[dict[str, Any]]:

@@ -1,14 +1,12 @@
 """Machine code is executed only from a folder that nobody else can change."""
 
-import contextlib
 import logging
 import os
-import sqlite3
 import stat
 import sys
-import types
 from pathlib import Path
 
+import heyoka
 import pytest
 
 from gaitsweep.tasks.mechanics import compile_cache
@@ -55,17 +53,11 @@ def test_a_group_of_the_user_alone_is_the_user(monkeypatch, name, members, is_sh
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """A cache in `home/cache` of this user, with a file in it."""
+    """A cache in `home/cache` of this user."""
     folder = tmp_path / "home" / "cache"
     folder.mkdir(parents=True)
-    (folder / "cache.db").touch()
     monkeypatch.setenv("GAITSWEEP_CACHE", str(folder))
     return folder
-
-
-def in_the_place(path, make):
-    path.unlink()
-    make(path)
 
 
 @pytest.mark.parametrize(
@@ -78,13 +70,6 @@ def in_the_place(path, make):
         ),  # as in /tmp, where nobody else can replace the folder
         (lambda c: c.parent.chmod(0o777), "home"),
         (lambda c: c.chmod(0o1777), "home/cache"),
-        (lambda c: (c / "cache.db").chmod(0o666), "home/cache/cache.db"),
-        (lambda c: in_the_place(c / "cache.db", os.mkfifo), "home/cache/cache.db"),
-        (
-            lambda c: in_the_place(c / "cache.db", lambda p: p.symlink_to(c / "other")),
-            "home/cache/cache.db",
-        ),
-        (lambda c: (c / "checksums.db-wal").mkdir(), "home/cache/checksums.db-wal"),
     ],
 )
 def test_a_cache_that_others_may_change_is_not_used_and_named_once(
@@ -129,121 +114,170 @@ def test_a_new_cache_is_its_users_alone(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def heyoka(monkeypatch):
-    """heyoka's cache, without a setting that outlives the test: the folder that is used,
-    None where none is.
-    """
-    state = types.SimpleNamespace(path=None, is_enabled=False)
-    for name in ("set_diskcache_limit", "get_diskcache_size"):
-        setattr(state, name, lambda *_: None)
-    state.set_diskcache_path = lambda path: setattr(state, "path", Path(path))
-    state.set_diskcache_enabled = lambda enabled: setattr(state, "is_enabled", enabled)
-    found = types.SimpleNamespace(llvm_state=state, set_logger_level_error=lambda: None)
-    monkeypatch.setitem(sys.modules, "heyoka", found)
-    return state
+def made(cache, monkeypatch):
+    """What was compiled, not loaded, so far."""
+    found = []
+    monkeypatch.setattr(sys.modules[__name__], "MADE", found)
+    monkeypatch.setattr(compile_cache, "_locks", [])
+    compile_cache._origin.cache_clear()
+    yield found
+    compile_cache._origin.cache_clear()
 
 
-def entries(folder, count=1, size=10):
-    """Make the database that heyoka keeps in a folder."""
-    columns = "hash, env_fingerprint, comp_flag, bitcode, obj"
-    with contextlib.closing(sqlite3.connect(folder / "cache.db")) as db:
-        db.execute(f"CREATE TABLE cache ({columns})")
-        row = ("environment", 0, b"bitcode", bytes(size))
-        rows = [(number, *row) for number in range(count)]
-        db.executemany("INSERT INTO cache VALUES (?, ?, ?, ?, ?)", rows)
-        db.commit()
+MADE: list[tuple] = []
 
 
-def test_what_is_compiled_under_a_name_has_a_folder_of_its_own(cache, heyoka):
-    compile_cache.use("one")
-    one = heyoka.path
-    compile_cache.use("other")
-    other = heyoka.path
-    compile_cache.use("one")
-
-    assert heyoka.is_enabled
-    assert heyoka.path == one != other
-    assert one.parent == other.parent == cache
+def compile_(*given):
+    MADE.append(given)
+    return [*given, "code"]
 
 
-def test_an_entry_that_has_changed_is_removed_with_its_folders_only(
-    cache, heyoka, monkeypatch
+def another(*given):
+    return compile_(*given)
+
+
+def files(folder):
+    return sorted(folder.glob("*.compiled"))
+
+
+def test_what_was_compiled_is_loaded(cache, made):
+    first = compile_cache.kept(compile_, 1, variant="8 lanes")
+    again = compile_cache.kept(compile_, 1, variant="8 lanes")
+
+    assert first == again == [1, "code"] and first is not again
+    assert made == [(1,)]
+    (file,) = files(cache)
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize(
+    ("function", "argument", "variant"),
+    [(another, 1, ""), (compile_, 2, ""), (compile_, 1, "4 lanes")],
+)
+def test_other_code_is_kept_apart(cache, made, function, argument, variant):
+    compile_cache.kept(compile_, 1)
+    compile_cache.kept(function, argument, variant=variant)
+    assert len(made) == len(files(cache)) == 2
+
+
+def new_equations(monkeypatch, tmp_path):
+    (tmp_path / "equations.py").write_text("x = 1")
+    monkeypatch.setattr(compile_cache, "_EQUATIONS", (tmp_path,))
+
+
+def new_heyoka(monkeypatch, tmp_path):
+    monkeypatch.setattr(heyoka, "__version__", "0.0.1")
+
+
+def new_library(monkeypatch, tmp_path):
+    (tmp_path / "library").touch()
+    monkeypatch.setattr(heyoka._core, "__file__", str(tmp_path / "library"))
+
+
+def new_processor(monkeypatch, tmp_path):
+    monkeypatch.setattr(compile_cache, "_processor", lambda: ["flags: none"])
+
+
+@pytest.mark.parametrize(
+    "change", [new_equations, new_heyoka, new_library, new_processor]
+)
+def test_code_that_may_have_changed_is_compiled_anew(
+    cache, made, change, monkeypatch, tmp_path
 ):
-    folders = []
-    for name in ("one", "other"):
-        compile_cache.use(name)
-        folders.append(heyoka.path)
-        entries(heyoka.path)
-    monkeypatch.setattr(compile_cache, "_checked", set())
-    compile_cache.use("one")  # notes the checksum
-    with contextlib.closing(sqlite3.connect(folders[0] / "cache.db")) as db:
-        db.execute("UPDATE cache SET obj = ?", (b"other code",))
-        db.commit()
-    monkeypatch.setattr(compile_cache, "_checked", set())
+    compile_cache.kept(compile_, 1)
+    change(monkeypatch, tmp_path)
+    compile_cache._origin.cache_clear()
 
-    compile_cache.use("one")
+    compile_cache.kept(compile_, 1)
 
-    assert heyoka.is_enabled
-    assert not (folders[0] / "cache.db").exists()
-    assert (folders[1] / "cache.db").exists()
+    assert len(made) == len(files(cache)) == 2
 
 
-def test_folders_used_longest_ago_make_room(cache, heyoka, monkeypatch):
-    monkeypatch.setattr(compile_cache, "_LIMIT", 200_000)
-    folders = []
-    for age, name in enumerate(["new", "older", "oldest"]):
-        compile_cache.use(name)
-        folders.append(heyoka.path)
-        entries(heyoka.path, size=80_000)
-        for file in heyoka.path.iterdir():
-            os.utime(file, (1e9 - age, 1e9 - age))
+def test_where_the_processor_is_not_told_nothing_is_kept(cache, made, monkeypatch):
+    def none():
+        raise FileNotFoundError
+
+    monkeypatch.setattr(compile_cache, "_processor", none)
+    assert compile_cache.kept(compile_, 1) == [1, "code"]
+    assert made and not files(cache)
+
+
+def bit_flipped(file):
+    data = file.read_bytes()
+    file.write_bytes(data.replace(b"code", b"cod%c" % (ord("e") ^ 4)))
+
+
+def link(file):
+    file.rename(file.parent / "elsewhere")
+    file.symlink_to(file.parent / "elsewhere")
+
+
+def pipe(file):
+    file.unlink()
+    os.mkfifo(file)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        bit_flipped,
+        link,
+        pipe,
+        lambda file: file.write_bytes(file.read_bytes()[:-1]),
+        lambda file: file.write_bytes(b""),
+        lambda file: file.write_bytes(
+            compile_cache._checksum(b"no pickle") + b"no pickle"
+        ),
+        lambda file: file.chmod(0o666),
+    ],
+)
+def test_a_file_that_is_damaged_or_not_only_ours_is_made_anew(cache, made, damage):
+    compile_cache.kept(compile_, 1)
+    (file,) = files(cache)
+    damage(file)
+
+    assert compile_cache.kept(compile_, 1) == [1, "code"]
+    assert len(made) == 2
+
+    compile_cache.kept(compile_, 1)
+    assert len(made) == 2
+    assert files(cache) == [file]
+
+
+def test_a_folder_in_the_place_of_a_file_is_left(cache, made):
+    compile_cache.kept(compile_, 1)
+    (file,) = files(cache)
+    file.unlink()
+    file.mkdir()
+
+    for _ in range(2):
+        assert compile_cache.kept(compile_, 1) == [1, "code"]
+    assert len(made) == 3 and files(cache) == [file]
+
+
+def test_files_used_longest_ago_make_room(cache, made, monkeypatch):
+    monkeypatch.setattr(compile_cache, "_LIMIT", 250_000)
+    for argument in "abc":
+        before = files(cache)
+        compile_cache.kept(compile_, argument * 100_000)
+        (new,) = set(files(cache)) - set(before)
+        os.utime(new, (1e9 + len(before),) * 2)
+        if argument == "b":  # the first is used again
+            compile_cache.kept(compile_, "a" * 100_000)
     other = cache / "of another program"
-    other.mkdir()
-    entries(other, size=80_000)
-    os.utime(other / "cache.db", (1e8, 1e8))
+    other.write_bytes(bytes(300_000))
 
-    compile_cache.use("another")
-
-    are_kept = [(folder / "cache.db").exists() for folder in folders]
-    assert are_kept == [True, True, False]
-    assert (other / "cache.db").exists()
-    assert heyoka.is_enabled
+    assert len(made) == 3 and len(files(cache)) == 2
+    compile_cache.kept(compile_, "a" * 100_000)
+    assert len(made) == 3 and other.exists()
 
 
-def test_a_folder_that_is_wanted_is_kept_however_long_ago_it_was_used(
-    cache, heyoka, monkeypatch
-):
-    folders = []
-    for age, name in enumerate(["new", "old"]):
-        compile_cache.use(name)
-        folders.append(heyoka.path)
-        entries(heyoka.path, size=80_000)
-        for file in heyoka.path.iterdir():
-            os.utime(file, (1e9 - age, 1e9 - age))
-    monkeypatch.setattr(compile_cache, "_LIMIT", 100_000)
-    compile_cache._make_room.cache_clear()
-
-    compile_cache.use("old")
-
-    are_kept = [(folder / "cache.db").exists() for folder in folders]
-    assert are_kept == [False, True]
-
-
-def test_a_database_of_another_program_is_left_alone(cache, heyoka):
-    """Its name is that of heyoka's cache."""
-    compile_cache.use("code")
-    folder = heyoka.path
-    heyoka.is_enabled = False
-    compile_cache._checked.clear()
-    (folder / "checksums.db").unlink()
-    with sqlite3.connect(folder / "cache.db") as db:
-        db.execute("CREATE TABLE mine (x)")
-    before = (folder / "cache.db").read_bytes()
-
-    compile_cache.use("code")
-
-    assert not heyoka.is_enabled
-    assert (folder / "cache.db").read_bytes() == before
+def test_what_is_larger_than_all_room_is_kept_alone(cache, made, monkeypatch):
+    monkeypatch.setattr(compile_cache, "_LIMIT", 50_000)
+    for argument in "ab":
+        compile_cache.kept(compile_, argument * 100_000)
+    compile_cache.kept(compile_, "b" * 100_000)
+    assert len(made) == 2 and len(files(cache)) == 1
 
 
 @pytest.mark.parametrize(

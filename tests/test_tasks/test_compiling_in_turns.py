@@ -1,11 +1,10 @@
 """Processes that share a compile cache: one compiles what the others load."""
 
+import functools
 import os
 import subprocess
 import sys
-import threading
 import zlib
-from unittest.mock import Mock
 
 import pytest
 
@@ -47,45 +46,62 @@ def another(tmp_path, monkeypatch):
 
 
 def test_a_worker_compiles_the_other_flow_while_one_is_compiled_elsewhere(
-    another, monkeypatch
-):
-    """Both workers compiled every flow of an empty cache."""
-    structure, compiled = structure_of(resolve("D", {})), []
-    with another(repr((structure, 2, False, False, False, False))) as holder:
-
-        def compile_(*key):
-            compiled.append(key[1:3])
-            if key[2]:
-                holder.communicate()  # the other worker is done, and its turn over
-            return Mock()
-
-        monkeypatch.setattr(kernel, "prepare_compiler", lambda structure: None)
-        monkeypatch.setattr(kernel, "FLOWS", {})
-        monkeypatch.setattr(kernel, "Flow", compile_)
-        kernel.flow(structure, 2, False)
-    assert compiled == [(3, True), (2, False)]
-
-
-def test_a_cache_that_another_process_is_making_is_not_taken_for_damaged(
     another, monkeypatch, tmp_path
 ):
-    """It was removed, and each process kept what it compiled in a file that the others
-    did not see.
-    """
-    monkeypatch.setitem(sys.modules, "heyoka", Mock())
+    """Both workers compiled every flow of an empty cache."""
     monkeypatch.setenv("GAITSWEEP_CACHE", str(tmp_path))
-    looked = threading.Event()
-    monkeypatch.setattr(
-        compile_cache, "_is_intact", lambda folder: looked.set() or True
-    )
-    compile_cache.use("code")
-    (folder,) = (each for each in tmp_path.iterdir() if each.is_dir())
-    looked.clear()
-    monkeypatch.setattr(compile_cache, "_checked", set())
-    with another(folder.name) as maker:
-        opens = threading.Thread(target=compile_cache.use, args=["code"])
-        opens.start()
-        assert not looked.wait(0.2)
-        maker.communicate()
-        opens.join()
-    assert looked.is_set()
+    monkeypatch.setattr(kernel, "FLOWS", {})
+    names, made = [], []
+    turn = compile_cache.turn
+
+    def noted(name, meanwhile):
+        names.append(name)
+        return turn(name, meanwhile)
+
+    monkeypatch.setattr(compile_cache, "turn", noted)
+    structure = structure_of(resolve("D", {}))
+    kernel.flow(structure, 2, False)
+    (first,) = names
+    (tmp_path / first).unlink()
+    kernel.FLOWS.clear()
+
+    with another(first) as holder:
+
+        def compile_(*given):
+            made.append(given[2:4])
+            if given[3]:
+                holder.communicate()  # the other worker is done, and its turn over
+            return compiled_flow(*given)
+
+        compiled_flow = kernel._compiled_flow
+        functools.update_wrapper(compile_, compiled_flow)
+        monkeypatch.setattr(kernel, "_compiled_flow", compile_)
+        kernel.flow(structure, 2, False)
+
+    assert made == [(3, True), (2, False)]
+
+
+CALLS = []
+
+
+def doubled(x):
+    CALLS.append(x)
+    return 2 * x
+
+
+def test_who_waited_for_a_compiler_loads_what_it_made(another, monkeypatch, tmp_path):
+    """Each of several processes compiled all that they need."""
+    monkeypatch.setenv("GAITSWEEP_CACHE", str(tmp_path))
+    monkeypatch.setattr(sys.modules[__name__], "CALLS", [])
+    compile_cache.kept(doubled, 1)
+    (file,) = tmp_path.glob("*.compiled")
+    elsewhere = file.rename(tmp_path / "elsewhere")
+
+    with another(file.name) as holder:
+
+        def meanwhile():
+            elsewhere.rename(file)
+            holder.communicate()
+
+        assert compile_cache.kept(doubled, 1, meanwhile=meanwhile) == 2
+    assert CALLS == [1]
