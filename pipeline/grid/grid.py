@@ -22,9 +22,9 @@ _MOST_TINY = 512  # points in a chunk of such slopes
 # Lines in a chunk of lines side by side: enough to fill registers, few enough to show
 # progress.
 _LINES = 64
-#: Fewest and most points in a chunk of a plane, the latter about a quarter of a second
-#: of work.
-PLANE_POINTS = 512, 4096
+#: Fewest and most points in a chunk of a plane, the latter an eighth of a second of work
+#: for straight legs, half a second with knees.
+PLANE_POINTS = 512, 2048
 # Chunks of a study over planes, so that workers share it and its first charts serve
 # some.
 _PLANE_CHUNKS = 16

@@ -112,11 +112,17 @@ class Chart:
         """
         coefficients = self.coefficients[:, columns]
         values = np.empty((len(points), coefficients.shape[1]))
+        if len(self.sizes) == 1:  # points of a line share nothing
+            for k in range(0, len(points), _POINTS_OF_CURVE):
+                block = slice(k, k + _POINTS_OF_CURVE)
+                basis = chebvander(points[block, 0], self.sizes[0] - 1)
+                values[block] = _product(basis, coefficients)
+            return values.T
+
         # The last coordinate first: points that share their last ones are neighbours.
         order = np.lexsort(points.T) if self.sizes else np.arange(len(points))
-        block = _POINTS if len(self.sizes) > 1 else _POINTS_OF_CURVE
-        for k in range(0, len(order), block):
-            some = order[k : k + block]
+        for k in range(0, len(order), _POINTS):
+            some = order[k : k + _POINTS]
             values[some] = self._sums(points[some], coefficients)
 
         return values.T

@@ -1,10 +1,10 @@
 """The compile cache: compiled objects, kept in files between processes.
 
 A file holds one object, as heyoka pickles it with its machine code, and a checksum. Its
-name follows from what was compiled, the source of the equations, heyoka's library and
-the processor, so that what changes with any of them has another. Damaged files, and
-those that another user may change, are as none; a folder that others may change is not
-used.
+name follows from what was compiled, the modules that write down and compile equations,
+heyoka's library and the processor, so that what changes with any of them has another.
+Damaged files, and those that another user may change, are as none; a folder that others
+may change is not used.
 """
 
 from __future__ import annotations
@@ -30,10 +30,17 @@ from typing import Any, TypeVar
 _LIMIT = 256 << 20  # size of all files together [byte]
 _PATIENCE = 120.0  # longest wait for code that another process compiles [s]
 _SUFFIX, _LOCKS = ".compiled", "locks"
-#: Folders of the modules that write down equations.
+#: Folders of the modules that write down equations: whatever changes there, all is
+#: compiled anew.
 _EQUATIONS = (Path(__file__).parent, Path(__file__).parents[1] / "step")
 #: What tells processors apart whose code differs.
-_PROCESSOR = ("vendor_id", "cpu family", "model", "flags", "CPU part", "Features")
+_PROCESSOR = {
+    *("vendor_id", "cpu family", "model", "flags"),
+    *("CPU implementer", "CPU variant", "CPU part", "Features"),
+    "cpu",
+}
+#: When this process began: modules that have changed since are not those it imported.
+_BEGUN = time.time()
 _SUM = 16  # size of a checksum [byte]
 #: The open file whose bytes stand for what is compiled, a lock on each; none where no
 #: cache is used.
@@ -47,14 +54,14 @@ def kept(
     variant: str = "",
     meanwhile: Callable[[], object] = lambda: None,
 ) -> Compiled:
-    """Return what a function compiles: loaded, if it was compiled before, or made and
-    kept.
+    """Return what a function compiles: loaded from the file of it if there is one, or
+    compiled and kept there.
 
     Parameters
     ----------
     make : callable
-        Its results depend on nothing but its source, that of the equations, and what
-        follows.
+        Compiles; what it returns depends on its module, those of the equations, and
+        what follows.
     given
         Its arguments, whose representations tell them apart.
     variant : str
@@ -62,15 +69,10 @@ def kept(
     meanwhile : callable
         Called once if another process compiles the same, before waiting for it.
     """
-    folder = usable_folder()
-    if folder is None:
-        return make(*given)
-
     name = f"{make.__module__}.{make.__qualname__} {given!r} {variant}"
-    source = sys.modules[make.__module__].__file__
-    try:
-        origin = _origin(Path(str(source)))
-    except OSError:  # nobody knows whether the code would be the same
+    folder = usable_folder()
+    origin = _origin(Path(str(sys.modules[make.__module__].__file__)))
+    if folder is None or origin is None:
         return make(*given)
 
     file = folder / f"{_checksum(origin + name.encode()).hex()}{_SUFFIX}"
@@ -81,23 +83,35 @@ def kept(
             found = _read(file)
             if found is None:
                 found = make(*given)
-                _write(file, found)
-                _make_room(file)
+                # What cannot be kept, for want of memory say, is there all the same.
+                with contextlib.suppress(Exception):
+                    _write(file, found)
+                    _make_room(file)
 
     return found
 
 
-@functools.cache
-def _origin(source: Path) -> bytes:
-    """What code depends on besides its arguments: the text of a module and of those
-    with the equations, heyoka's library, and the processor.
+def _origin(module: Path) -> bytes | None:
+    """A checksum of what code depends on besides arguments: the text of a module and of
+    those with the equations, heyoka's library, and the processor. None where that
+    cannot be told, or is not what this process runs.
     """
+    try:
+        texts = [module]
+        for folder in _EQUATIONS:
+            texts += sorted(folder.glob("*.py"))
+        if any(file.stat().st_ctime > _BEGUN for file in texts):
+            return None
+        return _origin_of(tuple(texts))
+    except OSError:
+        return None
+
+
+@functools.cache
+def _origin_of(modules: tuple[Path, ...]) -> bytes:
     import heyoka  # here: a run asks for the folder without the solver
 
-    texts = [source.read_bytes()]
-    for folder in _EQUATIONS:
-        texts += [file.read_bytes() for file in sorted(folder.glob("*.py"))]
-
+    texts = [file.read_bytes() for file in modules]
     library = Path(heyoka._core.__file__).stat()
     version = heyoka.__version__, library.st_size, library.st_mtime_ns
     texts.append(repr((version, _processor())).encode())
@@ -105,14 +119,17 @@ def _origin(source: Path) -> bytes:
 
 
 def _processor() -> list[str]:
-    """What the first processor says of its kind."""
+    """What the first processor says of its kind; OSError where it says nothing."""
     lines = []
     with open("/proc/cpuinfo", encoding="utf-8") as file:
         for line in file:
             if not line.strip():
                 break
-            if line.startswith(_PROCESSOR):
+            if line.partition(":")[0].strip() in _PROCESSOR:
                 lines.append(line)
+
+    if not lines:
+        raise OSError("/proc/cpuinfo does not tell which processor this is")
     return lines
 
 
@@ -145,6 +162,7 @@ def _read(file: Path) -> Any:
 def _write(file: Path, compiled: object) -> None:
     """Keep an object in a file, whole or not at all."""
     data = pickle.dumps(compiled)
+    # By this name `_make_room` finds drafts of processes that were killed.
     writer = f"{os.getpid()}.{threading.get_ident()}"
     draft = file.with_name(f"{file.stem}.{writer}{_SUFFIX}")
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
@@ -245,9 +263,7 @@ def _say_not_used(folder: Path, shared: Path) -> None:
 
 
 def cache_folder() -> Path:
-    """Folder of the compile cache, which `GAITSWEEP_CACHE` may name; on a network disk
-    it is slower than compiling.
-    """
+    """Folder of the compile cache, which `GAITSWEEP_CACHE` may name."""
     named, base = (
         os.environ.get("GAITSWEEP_CACHE"),
         os.environ.get("XDG_CACHE_HOME", ""),

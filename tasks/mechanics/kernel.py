@@ -118,15 +118,16 @@ class _Waiting:
 
     def __init__(self) -> None:
         self.seconds = 0.0
-        self.is_told = False
+        self.is_told = self.is_counting = False
 
     @contextlib.contextmanager
     def telling(self, tell: Callable[[str], object] | None) -> Iterator[None]:
         """Count the time that something takes to compile."""
-        if tell is None or self.is_told:
+        if tell is None or self.is_told or self.is_counting:
             yield
             return
 
+        self.is_counting = True
         began = time.monotonic()
         delay = max(0.0, _PATIENCE - self.seconds)
         timer = threading.Timer(delay, self._tell, [tell])
@@ -137,6 +138,7 @@ class _Waiting:
             yield
         finally:
             timer.cancel()
+            self.is_counting = False
             self.seconds += time.monotonic() - began
 
     def _tell(self, tell: Callable[[str], object]) -> None:
@@ -159,19 +161,21 @@ def compiled(
     *given: Any,
     meanwhile: Callable[[], object] = lambda: None,
 ) -> Compiled:
-    """Return what a function compiles of its arguments, which is kept on disk between
-    processes; all code that heyoka compiles comes this way.
+    """Return what a function compiles, kept on disk between processes; all code that
+    heyoka compiles comes this way.
 
     Parameters
     ----------
     make : callable
-        Depends on nothing but its arguments, and its result can be pickled.
+        What it returns can be pickled, and depends on its source, that of the equations
+        and its arguments alone.
     given
         Its arguments.
     meanwhile : callable
         Called once if another process compiles the same, before waiting for it.
     """
     hy.set_nthreads(1)
+    hy.set_logger_level_error()
     hy.llvm_state.set_diskcache_enabled(False)  # which has no checksums
     lanes = f"{LANES} lanes"
     with _waiting.telling(_listener()):
@@ -259,9 +263,17 @@ class Flow:
         self.evaluations = self.idle = 0
         self.seconds = 0.0
 
-        options = directions, with_slope, coarse, dissipates, compact
+        exact = _INTEGRAL if dissipates else _FINE
         self._ta, self._parameters = compiled(
-            _compiled_flow, structure, self.lanes, *options, meanwhile=meanwhile
+            _compiled_flow,
+            structure,
+            self.lanes,
+            directions,
+            with_slope,
+            dissipates,
+            _COARSE if coarse else exact,
+            COMPACT if compact else {},
+            meanwhile=meanwhile,
         )
         # Views of the integrator's own memory.
         self._state, self._pars = self._ta.state, self._ta.pars
@@ -405,20 +417,19 @@ def _compiled_flow(
     lanes: int,
     directions: int,
     with_slope: bool,
-    coarse: bool,
     dissipates: bool,
-    compact: bool,
+    tolerance: float,
+    options: dict[str, Any],
 ) -> tuple[Any, Any]:
     """Compile a flow's integrator, and the function from a walker's parameters to its
     own.
     """
     motion = system(structure, structure.kneed, directions, with_slope, dissipates)
-    exact = _INTEGRAL if dissipates else _FINE
     integrator = hy.taylor_adaptive_batch(
         motion.equations,
         state=np.zeros((len(motion.equations), lanes)),
-        tol=_COARSE if coarse else exact,
-        **(COMPACT if compact else {}),
+        tol=tolerance,
+        **options,
     )
     return integrator, motion.parameters(batch_size=LANES)
 

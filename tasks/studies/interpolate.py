@@ -271,7 +271,7 @@ def on_sheets(
     edges = [sheet.span.bounds[0] for sheet in sheets]
     of_sheet = np.searchsorted(edges, q, side="right") - 1
     of_sheet = np.maximum(of_sheet, 0)
-    for number in np.unique(of_sheet).tolist():
+    for number in np.flatnonzero(np.bincount(of_sheet)).tolist():
         yield sheets[number], np.flatnonzero(of_sheet == number)
 
 

@@ -282,7 +282,7 @@ def test_a_compile_cache_changes_no_number(tmp_path, tell, n, damages):
         file.write_bytes(data)
 
         assert _solved(cache) == wanted, k
-        assert file.read_bytes() != data
+        assert data == whole[file] or file.read_bytes() != data
     tell(f"{n} processes share a cold cache; {damages} damaged: the same numbers")
 
 

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -167,3 +168,12 @@ def solved(walker, folder):
         check=True,
     )
     return answer, os.times().children_user - began.children_user
+
+
+def test_who_compiles_something_else_meanwhile_is_told_once(monkeypatch):
+    """Each of both told it, and their time was counted twice."""
+    monkeypatch.setattr(kernel, "_PATIENCE", 0.05)
+    waiting, told = kernel._Waiting(), []
+    with waiting.telling(told.append), waiting.telling(told.append):
+        time.sleep(0.2)
+    assert told == [TOLD] and waiting.seconds < 0.35

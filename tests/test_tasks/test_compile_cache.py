@@ -2,14 +2,19 @@
 
 import logging
 import os
+import shutil
 import stat
 import sys
+import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import heyoka
 import pytest
 
-from gaitsweep.tasks.mechanics import compile_cache
+from gaitsweep.tasks.mechanics import compile_cache, kernel
+from gaitsweep.tasks.mechanics.lumped import structure_of
+from gaitsweep.tasks.walkers.resolve import resolve
 
 ME, OTHER = os.geteuid(), 54321
 
@@ -119,9 +124,9 @@ def made(cache, monkeypatch):
     found = []
     monkeypatch.setattr(sys.modules[__name__], "MADE", found)
     monkeypatch.setattr(compile_cache, "_locks", [])
-    compile_cache._origin.cache_clear()
+    compile_cache._origin_of.cache_clear()
     yield found
-    compile_cache._origin.cache_clear()
+    compile_cache._origin_of.cache_clear()
 
 
 MADE: list[tuple] = []
@@ -160,11 +165,6 @@ def test_other_code_is_kept_apart(cache, made, function, argument, variant):
     assert len(made) == len(files(cache)) == 2
 
 
-def new_equations(monkeypatch, tmp_path):
-    (tmp_path / "equations.py").write_text("x = 1")
-    monkeypatch.setattr(compile_cache, "_EQUATIONS", (tmp_path,))
-
-
 def new_heyoka(monkeypatch, tmp_path):
     monkeypatch.setattr(heyoka, "__version__", "0.0.1")
 
@@ -178,19 +178,76 @@ def new_processor(monkeypatch, tmp_path):
     monkeypatch.setattr(compile_cache, "_processor", lambda: ["flags: none"])
 
 
-@pytest.mark.parametrize(
-    "change", [new_equations, new_heyoka, new_library, new_processor]
-)
+@pytest.mark.parametrize("change", [new_heyoka, new_library, new_processor])
 def test_code_that_may_have_changed_is_compiled_anew(
     cache, made, change, monkeypatch, tmp_path
 ):
     compile_cache.kept(compile_, 1)
     change(monkeypatch, tmp_path)
-    compile_cache._origin.cache_clear()
+    compile_cache._origin_of.cache_clear()
 
     compile_cache.kept(compile_, 1)
 
     assert len(made) == len(files(cache)) == 2
+
+
+@pytest.fixture
+def copied(tmp_path, monkeypatch):
+    """Copies of the folders with equations and of a module, as if this process had
+    begun after they were made.
+    """
+    folders = []
+    for folder in compile_cache._EQUATIONS:
+        folders.append(shutil.copytree(folder, tmp_path / folder.name))
+    monkeypatch.setattr(compile_cache, "_EQUATIONS", tuple(folders))
+    monkeypatch.setattr(compile_cache, "_BEGUN", time.time() + 3600)
+    compile_cache._origin_of.cache_clear()
+    yield shutil.copy(__file__, tmp_path / "module.py")
+    compile_cache._origin_of.cache_clear()
+
+
+@pytest.mark.parametrize(
+    "changed", ["module.py", "mechanics/equations.py", "step/symbols.py"]
+)
+def test_an_edit_of_equations_or_of_what_compiles_them_is_seen(copied, changed):
+    before = compile_cache._origin(copied)
+    assert before == compile_cache._origin(copied)
+
+    with open(copied.parent / changed, "a") as file:
+        file.write("# edited\n")
+    compile_cache._origin_of.cache_clear()
+
+    assert compile_cache._origin(copied) not in (None, before)
+
+
+def test_modules_edited_while_they_run_keep_nothing(copied, monkeypatch):
+    """What was compiled stood under the name of the edited equations."""
+    assert compile_cache._origin(copied)
+    monkeypatch.setattr(compile_cache, "_BEGUN", time.time() - 1)
+    assert compile_cache._origin(copied) is None
+
+
+def test_lanes_and_tolerances_tell_flows_apart(monkeypatch):
+    names = []
+
+    def kept(make, *given, variant, meanwhile):
+        names.append((make, *map(repr, given), variant))
+        return make(*given)
+
+    monkeypatch.setattr(compile_cache, "kept", kept)
+    structure = structure_of(resolve("D", {}))
+    kernel.Flow(structure, 0, False, coarse=True)
+    monkeypatch.setattr(kernel, "_COARSE", 1e-6)
+    kernel.Flow(structure, 0, False, coarse=True)
+    monkeypatch.setattr(kernel, "LANES", 1)
+    kernel.Flow(structure, 0, False, coarse=True)
+    assert len(set(names)) == 3
+
+
+@pytest.mark.parametrize("fails", ["_write", "_make_room"])
+def test_what_cannot_be_kept_is_there_all_the_same(cache, made, fails, monkeypatch):
+    monkeypatch.setattr(compile_cache, fails, Mock(side_effect=MemoryError))
+    assert compile_cache.kept(compile_, 1) == [1, "code"]
 
 
 def test_where_the_processor_is_not_told_nothing_is_kept(cache, made, monkeypatch):
