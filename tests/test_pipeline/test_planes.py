@@ -186,15 +186,15 @@ def test_the_key_of_a_chunk_tells_its_plane_and_slopes(tmp_path):
         (40, 20, 12, 64),
         (20, 15, 1, 300),
         (100, 100, 1, 25**2),
-        (1000, 1000, 1, 4096),
-        (60, 20, 100, 36),
+        (1000, 1000, 1, 2048),
+        (60, 20, 100, 20),
     ],
 )
 def test_a_plane_has_chunks_enough_for_its_workers_and_its_first_charts(
     m_h, R, slopes, lines
 ):
-    """As many lines as fill registers, and points as pay for a job; no more than take a
-    quarter of a second.
+    """As many lines as fill registers, and points as pay for a job; no more than take an
+    eighth of a second.
     """
     axes = {
         "slope": np.linspace(0.01, 0.02, slopes).tolist(),
