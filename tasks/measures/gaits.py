@@ -100,8 +100,10 @@ def nothing_solved(names: Sequence[str], n: int, kneed: bool) -> Arrays:
     for name in names:
         inner = {"multiplier": _MULTIPLIERS[kneed], "key": len(DIFFERENTIATED)}
         sizes = [inner[dim] for dim in VARIABLES[name].dims[1:]]
-        shape = (n, len(GAITS), *sizes)
-        out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
+        # The gaits of a label lie together in memory: they are stored and rounded so.
+        shape = (len(GAITS), n, *sizes)
+        values = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
+        out[name] = values.swapaxes(0, 1)
 
     out["reason"][:] = [
         status.NO_LONG,

@@ -336,6 +336,7 @@ def some_parts(count):
 @pytest.mark.parametrize(("count", "has_more"), [(2, False), (3, True), (6, True)])
 def test_a_point_with_more_gaits_than_labels_says_so(count, has_more):
     out = nothing_solved(("status", "reason", "stance_angle"), 3, kneed=False)
+    assert all(values[:, 1].flags.c_contiguous for values in out.values())
 
     store(out, some_parts(count), set(GAITS))
 
