@@ -271,7 +271,9 @@ def solve_plane(
         What `tasks.studies.solve_points:points` returns, line by line.
     """
     out, accepted = _by_charts(lines, plane, request, charts)
-    to_accuracy(_joined(out), request.wanted.accuracy)
+    given = _joined(out)
+    to_accuracy(given, request.wanted.accuracy)
+    out = _by_line(given, len(lines))
 
     reasons = _reasons(plane.box, request.along or SLOPE)
     sentences = dict[str, int]()
