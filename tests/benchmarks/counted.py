@@ -183,7 +183,7 @@ def roofline(
         nonlinear, trigonometric, linear = _counts(ta)
         flops = lanes * (
             order**2 * (nonlinear + 2 * trigonometric)
-            + 2 * order * (linear + 2 * flow.size)
+            + 2 * order * (linear + 2 * len(ta.state))
         )
         ta.set_time(0.0)
         ta.state[:] = 0.1
