@@ -200,7 +200,7 @@ def roofline(
         rates.append(
             {
                 "flow": "free knee" if flow.angles == 6 else "locked",
-                "states": flow.size,
+                "states": float(len(ta.state)),
                 "u-variables": float(len(ta.decomposition)),
                 "products": float(nonlinear),
                 "sines and cosines": float(trigonometric),
