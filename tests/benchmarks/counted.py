@@ -179,11 +179,11 @@ def roofline(
     rates: list[dict[str, float | str]] = []
     for flow in (flow for flow in FLOWS.values() if flow.evaluations):
         ta, order = flow._ta, flow._ta.order
-        lanes = ta.state.shape[1]
+        states, lanes = ta.state.shape
         nonlinear, trigonometric, linear = _counts(ta)
         flops = lanes * (
             order**2 * (nonlinear + 2 * trigonometric)
-            + 2 * order * (linear + 2 * len(ta.state))
+            + 2 * order * (linear + 2 * states)
         )
         ta.set_time(0.0)
         ta.state[:] = 0.1
@@ -200,7 +200,7 @@ def roofline(
         rates.append(
             {
                 "flow": "free knee" if flow.angles == 6 else "locked",
-                "states": float(len(ta.state)),
+                "states": states,
                 "u-variables": float(len(ta.decomposition)),
                 "products": float(nonlinear),
                 "sines and cosines": float(trigonometric),
