@@ -111,14 +111,10 @@ class Chart:
         ndarray, shape (c, n)
         """
         coefficients = self.coefficients[:, columns]
-        values = np.empty((len(points), coefficients.shape[1]))
-        if len(self.sizes) == 1:  # points of a line share nothing
-            for k in range(0, len(points), _POINTS_OF_CURVE):
-                block = slice(k, k + _POINTS_OF_CURVE)
-                basis = chebvander(points[block, 0], self.sizes[0] - 1)
-                values[block] = _product(basis, coefficients)
-            return values.T
+        if len(self.sizes) == 1:
+            return _on_curve(points[:, 0], coefficients)
 
+        values = np.empty((len(points), coefficients.shape[1]))
         # The last coordinate first: points that share their last ones are neighbours.
         order = np.lexsort(points.T) if self.sizes else np.arange(len(points))
         for k in range(0, len(order), _POINTS):
@@ -176,6 +172,20 @@ class Chart:
         first, *others = self.coefficients[:, column].tolist()
         spread = sum(map(abs, others))
         return first - spread, first + spread
+
+
+def _on_curve(places: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """Values (c, n) of polynomials of one dimension at places (n,), which need not be
+    searched for coordinates that they share.
+    """
+    n, c = coefficients.shape
+    values = np.empty((len(places), c))
+    for k in range(0, len(places), _POINTS_OF_CURVE):
+        block = slice(k, k + _POINTS_OF_CURVE)
+        basis = chebvander(places[block], n - 1)
+        values[block] = _product(basis, coefficients)
+
+    return values.T
 
 
 def _terms(basis: np.ndarray, terms: np.ndarray) -> np.ndarray:

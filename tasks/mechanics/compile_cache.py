@@ -35,8 +35,14 @@ _SUFFIX, _LOCKS = ".compiled", "locks"
 _EQUATIONS = (Path(__file__).parent, Path(__file__).parents[1] / "step")
 #: What tells processors apart whose code differs.
 _PROCESSOR = {
-    *("vendor_id", "cpu family", "model", "flags"),
-    *("CPU implementer", "CPU variant", "CPU part", "Features"),
+    "vendor_id",
+    "cpu family",
+    "model",
+    "flags",
+    "CPU implementer",
+    "CPU variant",
+    "CPU part",
+    "Features",
     "cpu",
 }
 #: When this process began: modules that have changed since are not those it imported.
@@ -133,7 +139,7 @@ def _processor() -> list[str]:
     return lines
 
 
-def _checksum(data: bytes) -> bytes:
+def _checksum(data: bytes | memoryview) -> bytes:
     return hashlib.blake2b(data, digest_size=_SUM).digest()
 
 
@@ -147,10 +153,12 @@ def _read(file: Path) -> Any:
             status = os.fstat(opened.fileno())
             if is_shared(status) or not stat.S_ISREG(status.st_mode):
                 return None
-            data = opened.read()
-        if data[:_SUM] != _checksum(data[_SUM:]):
+            data = memoryview(opened.read())
+
+        pickled = data[_SUM:]
+        if data[:_SUM] != _checksum(pickled):
             return None
-        found = pickle.loads(memoryview(data)[_SUM:])
+        found = pickle.loads(pickled)
     except Exception:  # heyoka may refuse what it has written in any way
         return None
 
